@@ -7,6 +7,8 @@ t-statistics. The seed is fixed beforehand, 21; loop k of each scenario is drawn
 - One tendon, base tensions of 5 to 85 N in steps of 5 N and back, 33 readings; also the tip angle alone.
 - One tendon that was released from 60 N to the first row, 40 N, then pulled to 85 N and released to 5 N, 26 readings;
   what it had before is fitted too.
+- A stepped finger, base tensions of 1 to 12 N in steps of 1 N and back from 11.5 to 0.5 N, 24 readings, with 0.05 N of
+  noise; the base cell is exact or has 0.03 or 0.1 N of noise, which is given to the fit or not.
 - A pair of tendons, the second at 20 N: 8 readings from 10 to 70 N and back to 16 N; the same released from 62 N to
   the first row, 45 N, 8 readings, what tendon 1 had before fitted too. They are simulated with 16 short steps and
   fitted with the 4 of `fit`.
@@ -20,6 +22,7 @@ show what the statistics of few readings do alone.
 
 import argparse
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -49,8 +52,13 @@ class Scenario(NamedTuple):
     path: np.ndarray  # (rows, tendons), N
     columns: tuple[str, ...]
     before: tuple[float, ...] = ()  # of each tendon, N; that of the first one is fitted
+    base_noise: float | None = None  # of the finger, N; None: the paper's body with an exact base cell
+    stated: bool = False  # whether the fit is given the noise of the base cell
 
 
+UP_FINGER = np.arange(1.0, 12.1)
+FINGER = np.concatenate([UP_FINGER, UP_FINGER[::-1] - 0.5])[:, None]
+FINGER_TRUTH = {"friction_coefficient": 0.31, "youngs_modulus": 4e6}
 TIP, TIPS = ("tip_tension", "tip_angle"), ("tip_tension", "tip_tension_2", "tip_angle")
 SCENARIOS = {
     "tensions and angle": Scenario(2000, PATH[:, None], TIP),
@@ -59,13 +67,39 @@ SCENARIOS = {
     "a pair, tensions and angle": Scenario(40, PAIR, TIPS),
     "a pair, tensions and angle, `before` free": Scenario(40, PAIR_RELEASED, TIPS, (62.0, AGAINST)),
 }
+SCENARIOS |= {
+    f"finger, base cell {noise:g} N{', stated' if stated else ''}": Scenario(500, FINGER, TIP, (), noise, stated)
+    for noise, stated in ((0.0, False), (0.03, False), (0.03, True), (0.1, False), (0.1, True))
+}
+
+
+def truth_of(scenario: Scenario) -> dict[str, float]:
+    """Friction coefficient and modulus."""
+    return TRUTH if scenario.base_noise is None else FINGER_TRUTH
+
+
+def body_of(scenario: Scenario, **truth: float) -> cddf.Manipulator:
+    """The paper's body, or a finger that is thicker up to 40 of its 100 mm."""
+    if scenario.base_noise is None:
+        return paper_body(**truth, num_tendons=scenario.path.shape[1])
+    mu, modulus = truth["friction_coefficient"], truth["youngs_modulus"]
+    finger = cddf.conical(
+        length=0.1,
+        outer_radius=0.004,
+        inner_radius=0.001,
+        tendon_offset=0.003,
+        youngs_modulus=modulus,
+        friction_coefficient=mu,
+    )
+    return replace(finger, outer_radius=cddf.Piecewise(ends=[0.04], pieces=[0.005, 0.004]))
 
 
 def simulated(scenario: Scenario, factors: Any = (1.0, 1.0, 1.0), **options: Any) -> dict[str, np.ndarray]:
     """All columns without noise; `factors` on friction coefficient, modulus and what tendon 1 had before."""
     path, tendons = scenario.path, scenario.path.shape[1]
-    truth = {name: value * factor for (name, value), factor in zip(TRUTH.items(), factors, strict=False)}
-    body, pulled = paper_body(**truth, num_tendons=tendons), path if tendons > 1 else path[:, 0]
+    own = truth_of(scenario).items()
+    truth = {name: value * factor for (name, value), factor in zip(own, factors, strict=False)}
+    body, pulled = body_of(scenario, **truth), path if tendons > 1 else path[:, 0]
     if scenario.before:
         before = np.array(scenario.before)
         before[0] *= factors[2]
@@ -79,19 +113,25 @@ def simulated(scenario: Scenario, factors: Any = (1.0, 1.0, 1.0), **options: Any
 
 def table(scenario: Scenario, read: dict[str, np.ndarray], rng: np.random.Generator) -> cddf.Measurements:
     """One simulated loop."""
-    noisy = {name: values + NOISE[name] * rng.normal(size=values.size) for name, values in read.items()}
-    path = {f"base_tension{f'_{i + 1}' if i else ''}": pulled for i, pulled in enumerate(scenario.path.T)}
+    cell = 1.0 if scenario.base_noise is None else 0.5  # the cells of the finger are better
+    noise = {name: own * (cell if name != "tip_angle" else 1.0) for name, own in NOISE.items()}
+    noisy = {name: values + noise[name] * rng.normal(size=values.size) for name, values in read.items()}
+    errors = (scenario.base_noise or 0.0) * rng.normal(size=scenario.path.T.shape)
+    pulls = scenario.path.T + errors
+    path = {f"base_tension{f'_{i + 1}' if i else ''}": pulled for i, pulled in enumerate(pulls)}
     own = path | {"step": np.arange(len(scenario.path))} | {name: noisy[name] for name in scenario.columns}
     return cddf.Measurements.from_columns("loop", notes=("simulated",), **own)
 
 
 def coverage(scenario: Scenario, loops: int) -> dict[str, Any]:
     """Per cent of the intervals that hold the truth, and the mean error in standard errors."""
-    truth = TRUTH | ({"before": scenario.before[0]} if scenario.before else {})
-    body, held, errors, lost = paper_body(**TRUTH, num_tendons=scenario.path.shape[1]), [], [], 0
+    own = truth_of(scenario)
+    truth = own | ({"before": scenario.before[0]} if scenario.before else {})
+    noise = {"base_tension": scenario.base_noise} if scenario.stated and scenario.base_noise else {}
+    body, held, errors, lost = body_of(scenario, **own), [], [], 0
     read = simulated(scenario)
     for k in range(loops):
-        fit = cddf.fit(body, table(scenario, read, np.random.default_rng((SEED, k))), tuple(truth))
+        fit = cddf.fit(body, table(scenario, read, np.random.default_rng((SEED, k))), tuple(truth), noise=noise)
         if not fit.success:
             lost += 1
             continue

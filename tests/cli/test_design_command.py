@@ -18,6 +18,7 @@ from cddf_jax.cli import design as design_command
 from cddf_jax.designing.task_file import KEYS, read_task
 from cddf_jax.estimation.determination import IDENTIFIED
 from cddf_jax.figures.designs import design_figure, draw_design, draw_trade_off
+from cddf_jax.files.writing import write_all
 
 PAPER = ROOT / "data" / "smooth_sil_940.toml"
 TASK = f"""
@@ -229,8 +230,9 @@ def test_a_body_without_radii_is_designed_and_drawn(task, tmp_path, monkeypatch)
 
     monkeypatch.setattr(figures, "render", keeping)
     (tmp_path / "backbone.toml").write_text(BACKBONE)
-    _, _, success = design_command.run_design(read_task(task(BEND)), tmp_path / "out")
+    *_, success, files = design_command.designed(read_task(task(BEND)))
     assert success
+    write_all(tmp_path / "out", files())
     written = {path.name for path in (tmp_path / "out").iterdir()}
     assert written == {"design.md", "design.json", "design.toml", "design.pdf", "design.png"}
     stiffness = cddf.read_manipulator(tmp_path / "out" / "design.toml").stiffness(0.1)

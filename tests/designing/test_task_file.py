@@ -52,7 +52,7 @@ def test_what_cannot_be_free(changes, message):
     [
         ({"inner_radius": (1e-3, 9e-3)}, "'inner_radius' has bounds and is not free; add it to free"),
         ({"outer_radius": 0.03}, "the bounds of 'outer_radius' must be (lower, upper), got 0.03"),
-        ({"outer_radius": (0.01, "thick")}, "the bounds of 'outer_radius' must be (lower, upper)"),
+        ({"outer_radius": (0.01, "thick")}, "the bounds of 'outer_radius': text cannot be used, got 'thick'"),
         ({"outer_radius": (0.03, 0.01)}, "the bounds of 'outer_radius' must be finite and increase, got 0.03 and 0.01"),
         ({"outer_radius": (0.01, np.inf)}, "must be finite and increase, got 0.01 and inf"),
         ({"outer_radius": (0.015, 0.03)}, "'outer_radius' starts at 0.013, outside its bounds 0.015 to 0.03; widen"),

@@ -20,7 +20,9 @@ from cddf_jax.errors import InputError
 from cddf_jax.identification.bench import experiment_of
 from cddf_jax.identification.course import course_of
 from cddf_jax.identification.experiment_design import Candidate
+from cddf_jax.identification.random_effects import errors_of_base
 from cddf_jax.identification.tension_before import Start, first_guesses, starts_of
+from cddf_jax.identification.verdict import merged_in_words
 from cddf_jax.measurements.jitter import turns_of, without_jitter
 from cddf_jax.measurements.table import Measurements
 from cddf_jax.reports.fit_report import fit_as_markdown, fit_in_words
@@ -230,8 +232,6 @@ def test_a_history_that_cannot_be_followed():
         InputError, match="1 rows without a reading are left out, but the path from row to row needs them"
     ):
         cddf.fit(BODY, Measurements.from_columns("bench", **gap), history=True)
-    with pytest.raises(InputError, match="noise of base_tension is used with a history only"):
-        cddf.fit(BODY, table(), history=False, noise={"base_tension": 0.1})
     with pytest.raises(InputError, match="noise of base_tension must be one standard deviation"):
         cddf.fit(BODY, table(), noise={"base_tension": -1.0})
 
@@ -606,6 +606,62 @@ def test_a_small_turn_counts_where_it_is_stated():
     assert without_jitter(path, 0.05).num_ignored == 0
     assert all(b >= a for a, b in pairwise(without_jitter(path).tension[:6]))
     np.testing.assert_array_equal(without_jitter(path, 0.0).tension, path)
+
+
+# --- noise of the base cell -------------------------------------------------------------------------
+
+STAIRS = np.concatenate([np.arange(1.0, 12.1), np.arange(11.5, 0.0, -1.0)])  # N
+
+
+@pytest.mark.parametrize("noise", [0.05, 0.08, 0.1, 0.2, 1.0])
+def test_a_stated_noise_smooths_no_staircase(noise):
+    """All of its turns are real: the peak, 12 and 11.5 N, stays, also where the steps are smaller than the noise."""
+    np.testing.assert_array_equal(without_jitter(STAIRS, noise).tension, STAIRS)
+
+
+@pytest.mark.parametrize("noise", [None, 0.1])
+def test_the_peak_of_held_samples_stays(noise):
+    """20 samples at 12 and 20 at 11.5 N: their means, within four standard errors of 0.1 N / sqrt(20)."""
+    readings = np.repeat(STAIRS, 20) + 0.1 * np.random.default_rng(6).normal(size=480)
+    found = without_jitter(readings, noise).tension
+    assert turns_of(found).size == 1
+    np.testing.assert_allclose([np.max(found), found[250]], [12.0, 11.5], atol=0.09)
+
+
+def test_rows_that_become_one_level_are_named():
+    """Rows 5 and 6 fall by less than the noise."""
+    tension = LOOP.copy()
+    tension[4:6] = [26.0, 25.9]
+    steady = course_of(table(tension), {"base_tension": 0.5})[1]
+    assert steady.merged == ((4, 5, pytest.approx(25.95)),)
+    assert merged_in_words(steady, table(tension)) == " (row 5 to row 6 are 25.95 N)"
+
+
+def test_derivatives_by_base_tensions_follow_the_memory(fitted):
+    """Every reading by every base tension, against differences of the closed form; the tip remembers the peak."""
+    slopes = errors_of_base(fitted.model, fitted.tables, {}).slopes(fitted.parameters)["bench: base_tension"]
+    step, away = fitted.tables[0]["step"].astype(int), 1e-3
+    moved = [np.stack([loop(LOOP + sign * away * unit) for sign in (-1, 1)]) for unit in np.eye(LOOP.size)]
+    expected = np.stack([(up - down) / (2 * away) for down, up in moved])  # (levels, columns, steps)
+    for column, name in enumerate(NOISE):
+        np.testing.assert_allclose(slopes[f"bench: {name}"], expected[:, column, step].T, atol=1e-6)
+    assert np.count_nonzero(np.abs(slopes["bench: tip_tension"][:, 16]) > 1e-6) > 5
+
+
+def test_noise_of_the_base_cell_widens_the_intervals():
+    """By generalised least squares with the closed form: 0.5 N of noise of the base cell; gain and zero are free."""
+    deviation = np.repeat([CELL, ANGLE], LOOP.size)
+    by_tip = np.stack([np.append(tip, np.zeros(LOOP.size)) for tip in (loop()[0], np.ones(LOOP.size))], axis=1)
+    size, away = np.array([MU, E]), 1e-4
+    ends = [[np.concatenate(loop(LOOP, *(size * (1 + s * away * u)))) for s in (-1, 1)] for u in np.eye(2)]
+    slope = np.column_stack([*((up - down) / (2 * away) for down, up in ends), by_tip])
+    moved = [[np.concatenate(loop(LOOP + s * 1e-3 * u)) for s in (-1, 1)] for u in np.eye(LOOP.size)]
+    effect = np.stack([(up - down) / 2e-3 for down, up in moved], axis=1)
+    covariance = np.diag(deviation**2) + 0.25 * effect @ effect.T
+    expected = np.sqrt(np.diag(np.linalg.inv(slope.T @ np.linalg.solve(covariance, slope))))
+    found = cddf.fit(BODY, table(), ALL, noise=NOISE | {"base_tension": 0.5})
+    errors = [found.standard_error[name] / size for name, size in zip(ALL, [MU, E, 1.0, 1.0], strict=True)]
+    np.testing.assert_allclose(errors, expected, rtol=0.01)
 
 
 # --- report and plan -------------------------------------------------------------------------------

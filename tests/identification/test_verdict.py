@@ -41,7 +41,7 @@ def test_stated_directions_are_believed_tendon_by_tendon(stated, expected, monke
     """Row 1 contradicts tendon 1, row 2 tendon 2, row 3 both, row 4 none; the rule is that of the tutorial."""
     against = np.array([[True, False], [False, True], [True, True], [False, False]])
     results = stack([RESULTS.direction_contradicted] * 3 + [RESULTS.successful])
-    monkeypatch.setattr(Bench, "evaluate", lambda *_: Evaluation({}, {}, results, against))
+    monkeypatch.setattr(Bench, "evaluate", lambda *_: Evaluation({}, {}, results, against, {}))
     rows = Bench(np.ones((4, 2)), tuple(-np.ones(4) if tendon in stated else None for tendon in (1, 2)), name="bench")
     table = Measurements("bench", {"base_tension": np.ones(4), "tip_tension": np.ones(4)}, np.arange(1, 5))
     (found,) = solve_results({}, [table], BenchModel(None, (rows,), 16))

@@ -175,4 +175,5 @@ def _steady(values: list[float], noise: str) -> list[float]:
         raise InputError(f"--noise {noise}: give a standard deviation above 0 N, or leave it out")
     found = without_jitter(np.array(values), deviation)
     options.note([f"{found.num_ignored} turns of the base tension are taken for jitter and left out"])
+    options.note(f"steps {one.first + 1} to {one.last + 1} become {one.tension:.5g} N" for one in found.merged[:4])
     return np.maximum(found.tension, 0.0).tolist()

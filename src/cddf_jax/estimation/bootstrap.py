@@ -210,8 +210,11 @@ def _draw(rng: np.random.Generator, size: int, minimum: Minimum, kind: str, sour
     values, noise, _, priors = drawn
     if kind == "parametric":
         about = {i: best.parameters[i] for i in priors}
-        groups = zip(values, noise, problem.by_group(best.residual), strict=True)
-        noisy = (v + r.reshape(np.shape(v)) * s + s * rng.normal(size=(size, *np.shape(v))) for v, s, r in groups)
+        drawn_errors = [rng.normal(size=(size, *np.shape(v))).reshape(size, -1) for v in values]
+        errors = problem.shared.unwhitened(np.concatenate(drawn_errors, axis=1).T).T
+        raw = problem.unwhitened(best.residual)[: problem.num_data] + errors
+        groups = zip(values, noise, np.split(raw, np.cumsum([np.size(v) for v in values])[:-1], axis=1), strict=True)
+        noisy = (v + r.reshape(size, *np.shape(v)) * s for v, s, r in groups)
         drawn = drawn._replace(values=tuple(noisy))
     else:
         about = {i: prior.mean for i, prior in priors.items()}

@@ -14,6 +14,7 @@ from scipy.linalg import block_diag
 from scipy.special import fdtri, stdtrit
 
 from .parameter_space import TINY, ParameterSpace
+from .residuals import Shared
 
 RELATIVE_RANK = 1e-9  # singular values below this times the largest are zero
 INSIDE = 1e-12  # difference from 1 below which a parameter lies within the determined directions
@@ -104,6 +105,8 @@ class Evidence:
     rows: dict[str, np.ndarray]  # by group, (rows, parameters)
     prior_rows: dict[int, np.ndarray]  # by parameter
     noise_slopes: dict[str, np.ndarray]  # by group, (rows, parts): see `Observed.noise_slopes`; no parts where given
+    shared: Shared  # errors of inputs in the data; the rows of data are whitened
+    estimated_inputs: tuple[str, ...] = ()  # input groups whose standard deviation was estimated
     products: bool = True  # whether combinations of unidentified parameters may be written as products of powers
     open_profile: tuple[int, ...] = ()  # parameters that can move far while the sum of squares hardly rises
     bounded_above: tuple[int, ...] = ()  # parameters at the lower bound, with an upper 95 % limit
@@ -113,23 +116,36 @@ class Evidence:
 
     def of(self, groups: Collection[str], with_priors_of: Collection[str] = ()) -> "Evidence":
         """Only some groups of the data, and only the priors of the named parameters."""
+        found = self._selected({name: np.full(len(own), name in groups) for name, own in self.rows.items()})
         return replace(
-            self,
-            rows={name: self.rows[name] for name in groups},
+            found,
+            rows={name: found.rows[name] for name in groups},
             prior_rows={i: row for i, row in self.prior_rows.items() if self.space.names[i] in with_priors_of},
             noise_slopes={name: self.noise_slopes[name] for name in groups},
             random=tuple(i for i in self.random if self.space.names[i] in with_priors_of),
-            open_profile=(),
-            bounded_above=(),
         )
 
     def within(self, kept: Mapping[str, np.ndarray]) -> "Evidence":
         """Only some of the data: `kept` selects rows of its groups. Other groups and the priors stay complete."""
-        rows, slopes = (
-            {name: own[kept[name]] if name in kept else own for name, own in every.items()}
-            for every in (self.rows, self.noise_slopes)
+        return self._selected({name: kept.get(name, np.full(len(own), True)) for name, own in self.rows.items()})
+
+    def _selected(self, kept: Mapping[str, np.ndarray]) -> "Evidence":
+        """Only some rows of each group, whitened anew: what they have in common with other rows no longer counts."""
+        every, count = np.concatenate([*kept.values()]), len(self.shared.basis)
+        whole = without_nan(np.concatenate([*self.rows.values()]))
+        raw = np.concatenate([self.shared.unwhitened(whole[:count]), whole[count:]])[every]
+        shared = self.shared.at(every[:count])
+        count = len(shared.basis)
+        rows = np.concatenate([shared.whitened(raw[:count]), raw[count:]])
+        ends = np.cumsum([np.sum(own) for own in kept.values()])[:-1]
+        return replace(
+            self,
+            rows=dict(zip(kept, np.split(rows, ends), strict=True)),
+            shared=shared,
+            noise_slopes={name: slopes[kept[name]] for name, slopes in self.noise_slopes.items()},
+            open_profile=(),
+            bounded_above=(),
         )
-        return replace(self, rows=rows, noise_slopes=slopes, open_profile=(), bounded_above=())
 
     @property
     def nearest_bound(self) -> np.ndarray:
@@ -186,25 +202,47 @@ class Evidence:
     def _estimated_noise(self) -> EstimatedNoise:
         """The information of restricted likelihood on the parts of the variances, and what follows from it.
 
-        A group of data has one part, or floor and fraction. Random effects are one more group, with rows of priors.
+        A group of data has one part, or floor and fraction, and inputs have one. Random effects are one more group,
+        with rows of priors.
         """
-        root = self.spectrum.root
-        groups = [(without_nan(self.rows[name]), slopes) for name, slopes in self.noise_slopes.items()]
-        if self.random:
-            rows = np.concatenate([self.prior_rows[k] for k in self.random])
-            groups.append((rows, np.ones((len(rows), 1))))
-        groups = [(rows @ root.T, slopes) for rows, slopes in groups if slopes.shape[1]]
-        if not groups:
+        root, shared, count = self.spectrum.root, self.shared, len(self.shared.basis)
+        rows = np.concatenate([*self.rows.values(), *(self.prior_rows[k] for k in self.random)])
+        rows = without_nan(rows) @ root.T
+        weight = np.asarray(
+            block_diag(*self.noise_slopes.values(), *[np.ones((len(self.random), 1))] * bool(self.random))
+        )
+
+        def whitened(some: np.ndarray) -> np.ndarray:
+            return np.concatenate([shared.whitened(some[:count]), some[count:]])
+
+        inner = whitened(rows)
+        moved = [whitened(own[:, None] * inner) for own in weight.T]  # each part of the variance, times the rows
+        inputs = [own for name in self.estimated_inputs if np.any(own := np.asarray(shared.columns[name]))]
+        for own in inputs:
+            effect = np.zeros((len(rows), own.shape[1]))
+            effect[:count] = shared.whitened(own)
+            moved.append(effect @ (effect.T @ rows))
+        if not moved:
             return EstimatedNoise(np.zeros((0, len(root), len(root))), np.zeros((0, 0)), np.zeros((len(root),) * 2))
-        pull = np.concatenate([np.einsum("ki,kr,ks->irs", slopes, rows, rows) for rows, slopes in groups])
-        own = (slopes.T @ ((1 - 2 * np.sum(rows**2, axis=1))[:, None] * slopes) for rows, slopes in groups)
-        information = (block_diag(*own) + np.einsum("irs,jsr->ij", pull, pull)) / 2
-        whole = sum(np.sum(slopes**2) for _, slopes in groups) / 2
-        ridge = RIDGE * max(np.trace(information), NONE_LEFT * whole)
+        along, pull = np.stack(moved), np.stack([rows.T @ own for own in moved])
+        twice = np.einsum("inr,jns->ijrs", along, along)
+        whole = _traces(weight, inputs, shared)
+        information = (whole - 2 * np.einsum("ijrr->ij", twice) + np.einsum("irs,jsr->ij", pull, pull)) / 2
+        ridge = RIDGE * max(np.trace(information), NONE_LEFT * np.trace(whole) / 2)
         covariance = np.linalg.inv(information + ridge * np.eye(len(pull)))
-        shared, growth, first = np.einsum("irs,ist->rt", pull, np.tensordot(covariance, pull, 1)), 0.0, 0
-        for rows, slopes in groups:
-            parts = slice(first, first + slopes.shape[1])
-            weight = np.sum(slopes @ covariance[parts, parts] * slopes, axis=1)
-            growth, first = growth + rows.T @ (weight[:, None] * rows), parts.stop
-        return EstimatedNoise(pull, covariance, 2 * (growth - shared))
+        common = np.einsum("irs,ist->rt", pull, np.tensordot(covariance, pull, 1))
+        return EstimatedNoise(pull, covariance, 2 * (np.einsum("ij,ijrs->rs", covariance, twice) - common))
+
+
+def _traces(weight: np.ndarray, inputs: list[np.ndarray], shared: Shared) -> np.ndarray:
+    """(parts, parts), the trace of the product of two parts of the whitened variance."""
+    count = len(shared.basis)
+    if not shared.basis.shape[1]:
+        return weight.T @ weight
+    inverse, own = shared.inverse, weight[:count]
+    found = weight[count:].T @ weight[count:] + own.T @ inverse**2 @ own
+    if not inputs:
+        return found
+    across = np.stack([own.T @ np.sum((inverse @ some) ** 2, axis=1) for some in inputs])
+    among = np.array([[np.sum((one.T @ inverse @ other) ** 2) for other in inputs] for one in inputs])
+    return np.block([[found, across.T], [across, among]])

@@ -16,11 +16,11 @@ from .bootstrap import Bootstrap, Clusters, Path, Refits, bootstrap, refits
 from .determination import Determination, determine
 from .evidence import Evidence
 from .levenberg_marquardt import MAX_STEPS, Minimum
-from .observations import Noise, Observed, group_observations
+from .observations import Noise, Observed, effects_of, group_observations
 from .parameter_space import Bounds, Prior, Priors, Structure, bounds_of, names_of, parameter_space, priors_of
 from .profile_likelihood import Profile, profile_likelihood
 from .remarks import remarks_on_parameters, remarks_on_residuals
-from .residuals import Data, LeastSquaresProblem
+from .residuals import Data, InputErrors, LeastSquaresProblem, Shared, no_inputs
 from .restarts import Searched, search
 from .robust_loss import LOSSES
 from .whole_search import FitTask
@@ -34,7 +34,8 @@ class LeastSquaresFit(Determination):
     noise_model: dict[str, Noise]  # floor and fraction, of the groups that have them
     noise_parts: dict[str, int]  # how many numbers of each group's noise were estimated
     noise_estimated: bool  # whether that of any group was estimated
-    residuals: PyTree  # observed - predicted, in the structure of the data
+    input_noise: dict[str, float]  # standard deviation by group of inputs; 0 where the data show none
+    residuals: PyTree  # observed - predicted, in the structure of the data; with the inputs as they were read
     reduced_chi_square: float  # sum of squared weighted residuals over the degrees of freedom
     degrees_of_freedom: int  # data less what they determine
     log_likelihood: float  # Gaussian, with this noise, without priors
@@ -56,14 +57,14 @@ class LeastSquaresFit(Determination):
 
     @property
     def standardised_residuals(self) -> dict[str, np.ndarray]:
-        """Observed less predicted, over the noise, by group of data."""
+        """Observed less predicted, over the noise, by group of data; without what errors of inputs have in common."""
         problem, outcome = self.minimum
         return dict(zip(problem.groups, problem.by_group(-outcome.residual), strict=True))
 
     @property
     def num_estimated(self) -> int:
         """Parameters, and the numbers of the noise that were estimated."""
-        return len(self.names) + sum(self.noise_parts.values())
+        return len(self.names) + sum(self.noise_parts.values()) + len(self.evidence.estimated_inputs)
 
     @property
     def information_criteria(self) -> dict[str, float]:
@@ -184,6 +185,7 @@ def least_squares_fit(
     seed: int = 0,
     prefer_start: bool = False,
     max_steps: int = MAX_STEPS,
+    inputs: InputErrors | None = None,
 ) -> LeastSquaresFit:
     """Fit parameters by Levenberg-Marquardt and say what the data determine.
 
@@ -209,6 +211,7 @@ def least_squares_fit(
         prefer_start: if the data leave a valley open, end where its first parameter has its start value, and not at the
             shallow minimum that noise makes somewhere in the valley.
         max_steps: of the optimiser.
+        inputs: of the model, where they were read with errors, see `InputErrors`.
 
     Raises:
         InputError: for float32, `starts` below 1, a start outside its bounds, unknown names, data that are not
@@ -239,7 +242,15 @@ def least_squares_fit(
         prior=prior,
     )
     labels = tuple(group.name for group in groups)
-    task = FitTask(LeastSquaresProblem(predict, unravel, labels, data, space, loss, max_steps), groups, prefer_start)
+    shared = no_inputs(sum(group.values.size for group in groups))
+    if inputs is not None:  # without an effect yet, in the shapes of later, so that programs are shared
+        shared = Shared.of(
+            {k: 0 * own for k, own in effects_of(inputs, groups, start).items()},
+            dict.fromkeys(inputs.sigma, 0.0),
+            len(shared.basis),
+        )
+    problem = LeastSquaresProblem(predict, unravel, labels, data, shared, space, loss, max_steps)
+    task = FitTask(problem, groups, prefer_start, inputs)
     return _conclude(task.groups, jax.tree.structure(observed), search(task, starts, seed), seed)
 
 
@@ -261,16 +272,22 @@ def _conclude(groups: Sequence[Observed], structure: PyTree, searched: Searched,
     problem, outcome = ending.minimum
     freedom = outcome.residual.size - ending.determination.rank
     noise = [np.asarray(s) for s in problem.data.noise]
-    residuals = [r.reshape(s.shape) for r, s in zip(problem.by_group(outcome.residual), noise, strict=True)]
+    raw = problem.by_group(problem.unwhitened(outcome.residual))
+    residuals = [r.reshape(s.shape) for r, s in zip(raw, noise, strict=True)]
     found = list(zip(groups, noise, residuals, strict=True))
     models = {g.name: g.model(s, r.ravel()) for g, s, r in found}
-    log_likelihood = -0.5 * sum(np.sum(r**2) + np.sum(np.log(2 * np.pi * s**2)) for _, s, r in found)
+    log_likelihood = -0.5 * (
+        np.sum(outcome.residual[: problem.num_data] ** 2)
+        + sum(np.sum(np.log(2 * np.pi * s**2)) for s in noise)
+        + problem.shared.log_determinant
+    )
     return LeastSquaresFit(
         **vars(ending.determination),
         noise={g.name: float(np.sqrt(np.mean(s**2))) for g, s, _ in found},
         noise_model={name: model for name, model in models.items() if model is not None},
         noise_parts={g.name: g.estimated_parts for g in groups},
         noise_estimated=any(ending.evidence.noise_estimated.values()),
+        input_noise={name: float(value) for name, value in problem.shared.deviation.items()},
         residuals=jax.tree.unflatten(structure, [-r * s for _, s, r in found]),
         reduced_chi_square=float(np.sum(outcome.residual**2)) / max(freedom, 1),
         degrees_of_freedom=freedom,

@@ -53,7 +53,7 @@ class Minimum(NamedTuple):
 
     def cost_with(self, noise: Sequence[Numbers]) -> float:
         """The cost with other noise; infinite if the model gives no number."""
-        problem, residual = self.problem, self.outcome.residual.copy()
+        problem, residual = self.problem, self.problem.unwhitened(self.outcome.residual)
         pairs = zip(problem.data.noise, noise, strict=True)
         residual[: problem.num_data] *= np.concatenate([np.ravel(now / then) for now, then in pairs])
         with np.errstate(over="ignore", invalid="ignore"):
@@ -64,7 +64,7 @@ class Minimum(NamedTuple):
     def misfit(self) -> tuple[float, str]:
         """The largest ratio of residuals to the scatter of the data, root mean squares, of a group; and its name."""
         data = zip(self.problem.data.values, self.problem.data.noise, strict=True)
-        residuals = self.problem.by_group(self.outcome.residual)
+        residuals = self.problem.by_group(self.problem.unwhitened(self.outcome.residual))
         with np.errstate(over="ignore", invalid="ignore"):
             ratios = [
                 float(np.linalg.norm(r * np.ravel(s)))
@@ -133,8 +133,8 @@ def minimise(problem: LeastSquaresProblem, z: np.ndarray, held: np.ndarray | Non
     with stage("step 1") as here:
         while True:
             begun, portion = time.monotonic(), min(watch.portion, problem.max_steps - steps)
-            *found, reach, ended = _descend(problem, z, at, reach, np.asarray(portion), TOLERANCE)
-            outcome = _outcome(found)
+            *found, reach, ended = map(np.asarray, _descend(problem, z, at, reach, np.asarray(portion), TOLERANCE))
+            outcome = Outcome(*found)
             first, steps, z = steps == 0, steps + int(outcome.num_steps), outcome.z
             minimum = Minimum(problem, outcome._replace(num_steps=np.asarray(steps)))
             now = time.monotonic()
@@ -178,7 +178,7 @@ class _Reach(NamedTuple):
     num_steps: Int[Array, ""]
 
 
-class _TrustRegion(optx.ClassicalTrustRegion):
+class _TrustRegion(optx.AbstractSearch):
     """The trust region of optimistix, whose searches can be continued, and end where only rounding errors are left.
 
     A step whose predicted and actual reductions are rounding errors of the cost is taken, so that searches end (Conn,
@@ -188,18 +188,19 @@ class _TrustRegion(optx.ClassicalTrustRegion):
     the model only tiny steps help.
     """
 
-    reach: ArrayLike = 1.0  # of the first step
-    portion: ArrayLike = MAX_STEPS  # steps after which the search pauses
-    tolerance: float = TOLERANCE
+    reach: Float[Numbers, ""]  # of the first step
+    portion: Int[Numbers, ""]  # steps after which the search pauses
+    tolerance: float
 
     def init(self, y, f_info_struct):
         return _Reach(jnp.asarray(self.reach), jnp.asarray(SHORTER), jnp.asarray(0))
 
     def step(self, first_step, y, y_eval, f_info, f_eval_info, state):
-        unit = super().init(y, f_info)
-        factor, accept, result, _ = super().step(first_step, y, y_eval, f_info, f_eval_info, unit)
+        classical = optx.ClassicalTrustRegion()
+        unit = classical.init(y, f_info)
+        factor, accept, result, _ = classical.step(first_step, y, y_eval, f_info, f_eval_info, unit)
         cost, moved = f_info.as_min(), y_eval - y
-        changes = self.predict_reduction(moved, f_info), f_eval_info.as_min() - cost
+        changes = classical.predict_reduction(moved, f_info), f_eval_info.as_min() - cost
         rounding = jnp.maximum(*map(jnp.abs, changes)) < 10 * jnp.finfo(cost.dtype).eps * cost
         short = jnp.all(jnp.abs(moved) < self.tolerance * (1 + jnp.abs(y_eval)))
         useful = accept & ~rounding

@@ -11,14 +11,18 @@ from jaxtyping import PyTree
 from ..errors import InputError
 from ..numerics.given_numbers import check_numbers
 from .evidence import spectrum_of, without_nan
-from .levenberg_marquardt import Minimum
+from .levenberg_marquardt import Minimum, Outcome
 from .parameter_space import TINY
+from .residuals import InputErrors, LeastSquaresProblem, Shared
 
 MODEL_PRECISION = 1e-8  # noise is never estimated below this times the data: the model is no better
 MEDIAN_TO_DEVIATION = 1.4826  # of a Gaussian, from the median of |residual|
 LARGEST_LEVERAGE = 0.9
 NEGLIGIBLE = 1e-3  # of the noise: a smaller part of it is set to 0
 EXACTLY = {"ftol": 1e-15, "gtol": 1e-12, "maxiter": 500, "maxls": 60}  # of the likelihood of floor and fraction
+LEAST_FALL = 1.0  # of minus twice the logarithm of the likelihood, by the noise of inputs that was not given
+LINEAR_ROUNDS, LIKELY_ENOUGH = 200, 1e-7
+DECADES = 12.0  # logarithm of the largest noise of an input over the smallest
 WINSOR = 1.0  # squares of residuals count up to this under a robust loss: Huber (1981), proposal 2
 WINSORED_SQUARE = 0.5160585  # their mean for a Gaussian: E min(Z^2, 1)
 
@@ -101,16 +105,118 @@ class Observed:
         return Noise(*np.where(size < NEGLIGIBLE * np.min(noise), 0.0, parts).tolist())
 
 
-def estimate_noise(groups: Sequence[Observed], minimum: Minimum) -> tuple[np.ndarray, ...]:
-    """Standard deviations of each group, from the residuals at a minimum."""
+def estimate_noise(
+    groups: Sequence[Observed], minimum: Minimum, inputs: InputErrors | None = None
+) -> tuple[tuple[np.ndarray, ...], Shared]:
+    """Standard deviations of each group, and errors of inputs, from the residuals at a minimum.
+
+    An input group whose standard deviation is to be found gets none unless the data show it: minus twice the logarithm
+    of the restricted likelihood falls by more than `LEAST_FALL`.
+    """
     problem, outcome = minimum
     given = tuple(map(np.asarray, problem.data.noise))
-    if all(isinstance(group.sigma, np.ndarray) for group in groups):
-        return given
-    jacobian = without_nan(outcome.jacobian)
-    leverage = problem.by_group(spectrum_of(jacobian).leverage(jacobian))
-    found = zip(groups, given, problem.by_group(outcome.residual), leverage, strict=True)
-    return tuple(group.estimate(noise, r, h, problem.loss) for group, noise, r, h in found)
+    if inputs is None:
+        if all(isinstance(group.sigma, np.ndarray) for group in groups):
+            return given, problem.shared
+        jacobian = without_nan(outcome.jacobian)
+        leverage = problem.by_group(spectrum_of(jacobian).leverage(jacobian))
+        found = zip(groups, given, problem.by_group(outcome.residual), leverage, strict=True)
+        return tuple(group.estimate(noise, r, h, problem.loss) for group, noise, r, h in found), problem.shared
+    if not np.all(np.isfinite(outcome.residual)):
+        return given, problem.shared
+    effects = effects_of(inputs, groups, problem.unravel(outcome.parameters))
+    linear = _Linear(groups, problem, outcome, effects, inputs)
+    free = [name for name, sigma in inputs.sigma.items() if sigma is None]
+    none = {name: sigma or 0.0 for name, sigma in inputs.sigma.items()}
+    without = linear.settled(given, none, ())
+    if not free or problem.loss != "linear":
+        return without[1:]
+    found = linear.settled(given, none, free)
+    return (found if found[0] < without[0] - LEAST_FALL else without)[1:]
+
+
+def effects_of(inputs: InputErrors, groups: Sequence[Observed], parameters: PyTree) -> dict[str, np.ndarray]:
+    """By input group, (data, inputs), the derivatives of all data by the inputs."""
+
+    def whole(own: Mapping[str, np.ndarray]) -> np.ndarray:
+        count = next(iter(own.values())).shape[1]
+        return np.concatenate([own.get(group.name, np.zeros((group.values.size, count))) for group in groups])
+
+    return {name: whole(own) for name, own in inputs.slopes(parameters).items()}
+
+
+class _Linear(NamedTuple):
+    """The model, linear about a minimum, with errors of inputs."""
+
+    groups: Sequence[Observed]
+    problem: LeastSquaresProblem
+    outcome: Outcome
+    effects: dict[str, np.ndarray]  # as of `effects_of`
+    inputs: InputErrors
+
+    def settled(
+        self, noise: tuple[np.ndarray, ...], deviation: dict[str, float], free: Sequence[str]
+    ) -> tuple[float, tuple[np.ndarray, ...], Shared]:
+        """Minus twice the logarithm of the restricted likelihood at its maximum, and the noise there."""
+        problem, count, old = self.problem, self.problem.num_data, np.concatenate(list(map(np.ravel, noise)))
+        jacobian = problem.unwhitened(without_nan(self.outcome.jacobian))
+        residual = problem.unwhitened(self.outcome.residual)
+        height, shared = np.inf, problem.shared
+        for _ in range(LINEAR_ROUNDS):
+            now = np.concatenate(list(map(np.ravel, noise)))
+            factor = np.append(old / now, np.ones(len(residual) - count))
+            rows, errors = jacobian * factor[:, None], residual * factor
+            for name in free:
+                deviation = deviation | {name: self._likeliest(name, deviation, now, rows, errors)}
+            shared = self._shared(deviation, now)
+            basis, pulls = self._basis(shared, rows), _whitened(shared, errors, count)
+            last, height = height, 2 * np.sum(np.log(now)) + shared.log_determinant + np.sum(pulls**2)
+            values = spectrum_of(_whitened(shared, rows, count)).values
+            height += 2 * np.sum(np.log(np.maximum(values, TINY))) - np.sum((basis.T @ pulls) ** 2)
+            if abs(last - height) < LIKELY_ENOUGH:
+                break
+            error = np.asarray(shared.whitened(pulls[:count]))
+            leverage = 1 - shared.kept + np.sum(shared.whitened(basis[:count]) ** 2, axis=1)
+            each = zip(self.groups, noise, problem.by_group(error), problem.by_group(leverage), strict=True)
+            noise = tuple(group.estimate(sigma, r, h, problem.loss) for group, sigma, r, h in each)
+        return float(height), noise, shared
+
+    def _shared(self, deviation: dict[str, float], noise: np.ndarray) -> Shared:
+        columns = {name: deviation[name] * own / noise[:, None] for name, own in self.effects.items()}
+        return Shared.of(columns, deviation, noise.size)
+
+    def _basis(self, shared: Shared, rows: np.ndarray) -> np.ndarray:
+        """(rows, determined), orthonormal, of the whitened Jacobian."""
+        rows = _whitened(shared, rows, self.problem.num_data)
+        return rows @ spectrum_of(rows).root.T
+
+    def _likeliest(
+        self, name: str, deviation: dict[str, float], noise: np.ndarray, rows: np.ndarray, errors: np.ndarray
+    ) -> float:
+        """The standard deviation of an input group with the largest restricted likelihood, all others as they are."""
+        from scipy.optimize import minimize_scalar
+
+        others = self._shared(deviation | {name: 0.0}, noise)
+        basis, count = self._basis(others, rows), self.problem.num_data
+        effect = np.zeros((len(rows), self.effects[name].shape[1]))
+        effect[:count] = others.whitened(self.effects[name] / noise[:, None])
+        effect -= basis @ (basis.T @ effect)
+        square, directions = np.linalg.eigh(effect.T @ effect)
+        pull = (directions.T @ (effect.T @ _whitened(others, errors, count))) ** 2
+        square = np.maximum(square, 0.0)
+
+        def height(logarithm: float) -> float:
+            variance = np.exp(2 * logarithm)
+            return float(np.sum(np.log1p(variance * square) - variance * pull / (1 + variance * square)))
+
+        largest = np.log(self.inputs.largest[name])
+        found = minimize_scalar(height, bounds=(largest - DECADES, largest), method="bounded", options={"xatol": 1e-6})
+        return float(np.exp(found.x)) if found.fun < 0 else 0.0
+
+
+def _whitened(shared: Shared, rows: np.ndarray, count: int) -> np.ndarray:
+    """Rows of the data whitened, and then those of the priors."""
+    return np.concatenate([shared.whitened(rows[:count]), rows[count:]])
 
 
 def _parts(

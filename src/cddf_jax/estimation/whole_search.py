@@ -23,7 +23,7 @@ from .levenberg_marquardt import Minimum, Outcome, evaluate, hold_one, minimise
 from .observations import Observed, estimate_noise
 from .parameter_space import TINY, ParameterSpace
 from .remarks import unexplained_groups
-from .residuals import LeastSquaresProblem
+from .residuals import InputErrors, LeastSquaresProblem, Shared
 from .robust_loss import LOSSES
 
 SUCCESSFUL = "successful"
@@ -49,6 +49,7 @@ class FitTask(NamedTuple):
     problem: LeastSquaresProblem  # with the first guess of the noise
     groups: tuple[Observed, ...]  # of the data
     prefer_start: bool  # to end near the start in a valley that the data leave open
+    inputs: InputErrors | None = None  # of the model, that were read with errors
 
 
 class Ending(NamedTuple):
@@ -102,15 +103,27 @@ def _settle_noise(task: FitTask, z: np.ndarray) -> tuple[Minimum, bool]:
     problem, settled = task.problem, False
     outcome = minimise(problem, z)
     for _ in range(NOISE_ROUNDS):
-        noise, improved = problem.data.noise, estimate_noise(task.groups, Minimum(problem, outcome))
-        if all(map(np.array_equal, noise, improved)):  # it was known
+        noise, (improved, shared) = (
+            problem.data.noise,
+            estimate_noise(task.groups, Minimum(problem, outcome), task.inputs),
+        )
+        same = _alike(problem.shared, shared)
+        if same and all(map(np.array_equal, noise, improved)):  # it was known
             return Minimum(problem, outcome), True
-        settled = all(np.allclose(a, b, rtol=1e-4, atol=0) for a, b in zip(noise, improved, strict=True))
-        problem = replace(problem, data=problem.data._replace(noise=improved))
+        settled = same and all(np.allclose(a, b, rtol=1e-4, atol=0) for a, b in zip(noise, improved, strict=True))
+        problem = replace(problem, data=problem.data._replace(noise=improved), shared=shared)
         outcome = minimise(problem, outcome.z)
         if settled or not np.all(np.isfinite(outcome.residual)):
             break
     return Minimum(problem, outcome), settled
+
+
+def _alike(one: Shared, other: Shared) -> bool:
+    """Whether the errors of inputs have the same effect."""
+    own = [np.concatenate([*columns.values()], axis=1) for columns in (one.columns, other.columns) if columns]
+    if len(own) == 2:
+        return bool(np.allclose(*own, rtol=0, atol=1e-4 * max(1.0, float(np.max(np.abs(own[0]), initial=0.0)))))
+    return not own or not np.any(own[0])
 
 
 def _evidence(task: FitTask, minimum: Minimum) -> Evidence:
@@ -134,6 +147,12 @@ def _evidence(task: FitTask, minimum: Minimum) -> Evidence:
         size=size,
         at_bound=at_bound,
         rows=dict(zip(problem.groups, rows, strict=True)),
+        shared=problem.shared,
+        estimated_inputs=tuple(
+            name
+            for name, sigma in (task.inputs.sigma.items() if task.inputs else ())
+            if sigma is None and problem.shared.deviation.get(name, 0.0) > 0
+        ),
         prior_rows={i: row[None] for i, row in zip(problem.data.prior, prior_rows, strict=True)},
         noise_slopes={
             group.name: group.noise_slopes(np.asarray(noise), residual)

@@ -49,6 +49,7 @@ class Evaluation(NamedTuple):
     derivatives: dict[str, np.ndarray]  # by column, (rows, parameters), in the flat order of the parameters
     results: RESULTS  # how the solves ended
     against: np.ndarray  # (rows, tendons), whether a tendon travels against its direction
+    by_base: dict[str, np.ndarray]  # by column, (rows, directions), by the readings of base tension; `Bench.along`
 
 
 class Pulley(eqx.Module):
@@ -215,6 +216,24 @@ class Bench(eqx.Module):
         found = self.readings(self.shown(manipulator, parameters, nodes), self.columns, parameters)
         return found | {column: found[column][rows] for column, rows in self.read_in.items()}
 
+    @property
+    def along(self) -> np.ndarray:
+        """(directions, ...), the changes of the base readings by which `evaluate` takes derivatives.
+
+        One for each tendon, of all rows. With a history it is that of all steps but the turns, as what lies between two
+        turns is forgotten; others follow for each turn, see `Course.along`.
+        """
+        if self.course is not None:
+            return self.course.along
+        return np.eye(self.base_tension.shape[1])[:, None]
+
+    def _shifted(self, shift: Array, along: np.ndarray | Array) -> "Bench":
+        """With base readings that are larger by `shift` along each direction."""
+        more = jnp.tensordot(shift, along, 1)
+        if self.course is None:
+            return replace(self, base_tension=self.base_tension + more, name=self.name)
+        return replace(self, course=replace(self.course, readings=self.course.readings + more))
+
     def evaluate(self, manipulator: Manipulator, parameters: Parameters, nodes: int) -> Evaluation:
         """Every reading of every row with its derivatives, whether it was read or not."""
         rows = self.base_tension.shape[0]
@@ -230,7 +249,7 @@ class Bench(eqx.Module):
             course = replace(course, trial=trial, step=step)
         with stage(f"solving {rows} rows"):
             bare = Bench(*own, course=course, setting=self.setting)
-            answer = _evaluate(bare, manipulator, jax.tree.map(np.asarray, parameters), nodes)
+            answer = _evaluate(bare, manipulator, jax.tree.map(np.asarray, parameters), bare.along, nodes)
         return jax.tree.map(lambda x: np.asarray(x)[:rows], answer)
 
 
@@ -249,19 +268,25 @@ def _of_cells(parameters: Parameters, name: str, readings: Array) -> Array:
 
 @kept_program
 @eqx.filter_jit
-def _evaluate(bench: Bench, manipulator: Manipulator, parameters: dict[str, Array], nodes: int) -> Evaluation:
-    flat, unravel = jax.flatten_util.ravel_pytree(parameters)
+def _evaluate(
+    bench: Bench, manipulator: Manipulator, parameters: dict[str, Array], along: np.ndarray | Array, nodes: int
+) -> Evaluation:
+    flat, unravel = jax.flatten_util.ravel_pytree((parameters, jnp.zeros(len(along))))
 
     every = columns_of(manipulator.num_tendons, bench.setting.marker_names, in_space=bench.in_space(manipulator))
 
     def observe(flat):
-        parameters = unravel(flat)
-        shown = bench.shown(manipulator, parameters, nodes)
+        parameters, shift = unravel(flat)
+        shown = bench._shifted(shift, along).shown(manipulator, parameters, nodes)
         readings = bench.readings(shown, every, parameters)
         return readings, (readings, shown.result, shown.direction_contradicted)
 
     derivatives, (readings, results, against) = jax.jacfwd(observe, has_aux=True)(flat)
-    return Evaluation(readings, derivatives, results, against)
+    by_parameter, by_base = (
+        {column: slope[:, part] for column, slope in derivatives.items()}
+        for part in (slice(flat.size - len(along)), slice(flat.size - len(along), None))
+    )
+    return Evaluation(readings, by_parameter, results, against, by_base)
 
 
 class BenchModel(eqx.Module):

@@ -29,6 +29,7 @@ from .tension_before import REST, Before, Past, Start, past_of, starts_of
 STEPS = 16  # paths are traced in multiples of this number, so that tables share compiled programs
 FEW_STEPS = 4  # the same for paths that are followed in short steps
 SHORT_STEPS = 4  # in each step of a path without an exact answer
+MOST_REMEMBERED = 60  # turns whose effect on later rows counts in the errors of base tensions
 CELLS = 2  # number of cells over number of nodes
 WITHOUT = "give history=False (--no-history), which lets each tendon slide one way in each row"
 
@@ -74,6 +75,42 @@ class Course(eqx.Module):
     def turns(self) -> bool:
         """Whether any of the paths turns, or began with a release."""
         return self.past is not None or bool(np.any(self._falls))
+
+    @property
+    def turn_steps(self) -> list[np.ndarray]:
+        """By trial, the steps that later ones may remember: where a tension turned, and the first one after a past.
+
+        At most `MOST_REMEMBERED`, those next to the largest moves.
+        """
+        found = []
+        for path in np.asarray(self.readings).reshape(*np.shape(self.readings)[:2], -1):
+            move = np.diff(path, axis=0, prepend=path[:1] if self.past is not None else 0 * path[:1])
+            turns = np.zeros(len(path), bool)
+            turns[0] = self.past is not None
+            for own in move.T:
+                (there,) = np.nonzero(own)
+                turned = np.sign(own[there[1:]]) != np.sign(own[there[:-1]])
+                turns[there[1:][turned] - 1] = True
+            (steps,) = np.nonzero(turns)
+            size = np.max(np.abs(np.append(move[1:], move[:1] * 0, axis=0)), axis=1)[steps]
+            found.append(np.sort(steps[np.argsort(-size, kind="stable")[:MOST_REMEMBERED]]))
+        return found
+
+    @property
+    def along(self) -> np.ndarray:
+        """(directions, trials, steps, *tendons), changes of the readings: for each tendon of all steps but the turns,
+        then of the first turn of each trial, the second, and so on.
+        """
+        turns, shape = self.turn_steps, (*np.shape(self.readings)[:2], int(np.prod(np.shape(self.readings)[2:])))
+        most = max(map(len, turns))
+        most += -most % FEW_STEPS
+        found = np.zeros((1 + most, shape[2], *shape))
+        for tendon in range(shape[2]):
+            found[0, tendon, :, :, tendon] = 1.0
+            for trial, steps in enumerate(turns):
+                found[0, tendon, trial, steps, tendon] = 0.0
+                found[1 + np.arange(len(steps)), tendon, trial, steps, tendon] = 1.0
+        return found.reshape(-1, *np.shape(self.readings))
 
     def path(self, parameters: Mapping[str, ArrayLike]) -> Float[Array, "trials path tendons"]:
         """The readings of the base tension, N; with a past, its tensions come first."""
@@ -245,7 +282,7 @@ def has_history(table: Measurements, history: bool | None) -> bool:
 
 def course_of(
     table: Measurements,
-    noise: float | None = None,
+    noise: Mapping[str, float] | None = None,
     starts: Sequence[Start] | None = None,
     short_steps: int = SHORT_STEPS,
     *,
@@ -255,7 +292,8 @@ def course_of(
 
     Args:
         table: of a body with any number of tendons.
-        noise: standard deviation of a reading of the base tension, N, as in `without_jitter`.
+        noise: by column, the standard deviation of a reading of the base tension, N, as in `without_jitter`; that of
+            `base_tension` holds for all columns without one.
         starts: how each trial begins; None: from rest.
         short_steps: into how many short steps each step is divided where the answer is not exact.
         loaded: whether there are loads besides the tip forces, which are the same in all rows.
@@ -271,13 +309,15 @@ def course_of(
     trial, step, tension = np.zeros(rows, int), np.zeros(rows, int), np.zeros(rows)
     paths, forces, found, first = [], [], [], []
     starts = [Start()] * len(table.trials) if starts is None else starts
+    known = noise or {}
+    common = known.get("base_tension")
     for start in (start for start in starts if not start.from_rest and len(start.tension) != len(pulled)):
         raise InputError(
             f"{table.name}: before holds tensions of {len(start.tension)} tendons, but there are {len(pulled)} columns "
             "of base tensions; give one tension for each column"
         )
     for own, start in zip(table.trials, starts, strict=True):
-        steadied = [without_jitter(table[column][own], noise) for column in pulled]
+        steadied = [_of_table(without_jitter(table[column][own], known.get(column, common)), own) for column in pulled]
         if exact:
             _check_directions(table, own, steadied[0], start)
         given = np.stack([*(steady.tension for steady in steadied), *force[own].T], axis=1)
@@ -300,7 +340,19 @@ def course_of(
 def _together(found: list[Steady], tension: np.ndarray) -> Steady:
     """The base tensions of the table, with the noise and the ignored turns of all trials."""
     largest = max(found, key=lambda steady: steady.noise)
-    return Steady(tension, largest.noise, largest.least_turn, sum(steady.num_ignored for steady in found))
+    ignored, merged = (
+        sum(steady.num_ignored for steady in found),
+        (level for steady in found for level in steady.merged),
+    )
+    return largest._replace(tension=tension, num_ignored=ignored, merged=tuple(merged))
+
+
+def _of_table(steady: Steady, rows: np.ndarray) -> Steady:
+    """The same with the levels by the rows of the table, from 0."""
+    own = rows.tolist()
+    return steady._replace(
+        merged=tuple(run._replace(first=own[run.first], last=own[run.last]) for run in steady.merged)
+    )
 
 
 def _check_directions(table: Measurements, rows: np.ndarray, steady: Steady, start: Start) -> None:

@@ -19,6 +19,7 @@ from ..estimation.determination import Determination, determine
 from ..estimation.evidence import Evidence
 from ..estimation.observations import Noise
 from ..estimation.parameter_space import Priors, parameter_space, priors_of
+from ..estimation.residuals import no_inputs
 from ..measurements.readings import of_tendons
 from ..measurements.table import Measurements
 from ..numerics.given_numbers import check_numbers
@@ -171,6 +172,7 @@ def _nothing_measured(parameters: Mapping[str, float], priors: Priors) -> Eviden
         rows={"before": np.zeros((len(names), len(names)))},  # nothing
         prior_rows=prior_rows,
         noise_slopes={"before": np.zeros((len(names), 0))},
+        shared=no_inputs(len(names)),
     )
 
 
@@ -226,7 +228,8 @@ def _rows(
         values = {"pulling_tension": np.asarray(read(flat))}
         slopes = {"pulling_tension": np.asarray(jax.jacfwd(read)(flat))}
     else:
-        values, slopes, codes, _ = experiment.evaluate(body, parameters, nodes)
+        shown = experiment.evaluate(body, parameters, nodes)
+        values, slopes, codes = shown.readings, shown.derivatives, shown.results
         for code in NOTEWORTHY:
             count = int(np.sum(codes == code))
             warnings += [f"{count} of {len(experiment.base_tension)} rows: {RESULTS[code]}"] if count else []
@@ -252,7 +255,9 @@ def _experiment(body: Manipulator, candidate: Candidate, setting: BenchSetting) 
     columns = {column: np.broadcast_to(values, (count,)) for column, values in conditions.items()}
     columns |= {column: np.zeros(count) for column in candidate.noise}
     table = Measurements.from_columns(name, notes=(), **columns)
-    course = course_of(table, 0.0, loaded=setting.loads is not None)[0] if has_history(table, None) else None
+    course = None
+    if has_history(table, None):
+        course = course_of(table, {"base_tension": 0.0}, loaded=setting.loads is not None)[0]
     return experiment_of(table, body, course=course, setting=setting, free=("angle_zero",))  # no reading is known yet
 
 

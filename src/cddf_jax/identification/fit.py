@@ -35,7 +35,7 @@ from .parameters import (
     with_parameters,
 )
 from .predictions import Numbers, Prediction, beyond_the_data, moved_by_finer_steps, predicted_rows
-from .random_effects import fit_trials
+from .random_effects import errors_of_base, fit_trials
 from .tension_before import Before, first_guesses, starts_of
 from .verdict import AGAINST, SolveResults, doubt, estimates_in_words, fit_warnings, solve_results, verdict_of
 
@@ -268,8 +268,8 @@ def fit(
         priors: by parameter, mean and standard deviation of a Gaussian, SI units, or `Uniform(low, high)`.
         bounds: by parameter, (lower, upper), SI units; default (0, None) for what is positive.
         noise: by column, known standard deviation, SI units, a number or one per row, or `Noise(floor, fraction)`;
-            what is not given is estimated, for each column of each table, from the residuals. The noise of
-            `base_tension`, one number, decides which turns a history ignores; 0 for none.
+            what is not given is estimated, for each column of each table, from the residuals. That of `base_tension`
+            is one number, 0 for exact base tensions. It also decides which turns a history ignores.
         setting: what all rows share: constant loads such as gravity, positions of markers, known numbers of the bench.
         history: whether each row depends on the rows before it, in the order of the columns `step` or `time`, or else
             in that of the file. None: yes if the table has one of these columns.
@@ -322,8 +322,9 @@ def fit(
     kinds = {name: parameter_named(name) for name in free}
     earlier = np.cumsum([0, *(len(_trials(table)) for table in tables)])
     with within("fit"):
-        noise, courses, guesses = _courses(
-            manipulator, tables, history, before, free, noise or {}, short_steps, loaded=setting.loads is not None
+        noise, of_base = _split(noise or {}, tables)
+        courses, guesses = _courses(
+            manipulator, tables, history, before, free, of_base, short_steps, loaded=setting.loads is not None
         )
     experiments = (
         bench.experiment_of(table, manipulator, int(first), course and course[0], setting, free=free)
@@ -346,8 +347,9 @@ def fit(
     if set(pose) <= set(free) and not any(name in setting.given or name in bounds for name in pose):
         start |= camera_start(model, groups, start)
     scales = {name: kind.scale for name, kind in kinds.items() if kind.start is not None}
-    data_of = {"observed": {group.label: group.observed for group in groups}, "sigma": sigma}
-    search = partial(least_squares_fit, model, **data_of, bounds=bounds, loss=loss, seed=seed, prefer_start=True)
+    observed, inputs = {group.label: group.observed for group in groups}, errors_of_base(model, tables, of_base)
+    search = partial(least_squares_fit, model, observed=observed, sigma=sigma, inputs=inputs, bounds=bounds)
+    search = partial(search, loss=loss, seed=seed, prefer_start=True)
     if not per_trial:
         statistics = search(start, priors=priors, scales=scales, starts=starts)
         return _conclude(statistics, tables, model, setting, without_jitter, float("nan"), left_out, options)
@@ -364,31 +366,37 @@ def _courses(
     history: bool | None,
     before: Before,
     free: Sequence[str],
-    noise: Mapping[str, ArrayLike | Noise],
+    noise: Mapping[str, float],
     short_steps: int,
     *,
     loaded: bool,
-) -> tuple[Mapping[str, ArrayLike | Noise], list[tuple[Course, Steady] | None], dict[str, tuple[float, float]]]:
-    """The noise of the predicted columns; the course of each table, None without a history; guesses of pasts."""
-    predicted = {column: given for column, given in noise.items() if column != "base_tension"}
-    own = noise.get("base_tension", np.nan)
-    check_numbers("noise of base_tension", [own])
+) -> tuple[list[tuple[Course, Steady] | None], dict[str, tuple[float, float]]]:
+    """The course of each table, None without a history; guesses of pasts."""
     with_history = [has_history(table, history) for table in tables]
     counts = [len(table.trials) if on else 0 for table, on in zip(tables, with_history, strict=True)]
     starts = starts_of(counts, before, free, manipulator.num_tendons)
-    if "base_tension" in noise and not any(with_history):
-        raise InputError("noise of base_tension is used with a history only; leave it out, or give history=True")
-    if isinstance(own, Noise) or np.ndim(own) or np.any(np.asarray(own) < 0):
-        raise InputError("noise of base_tension must be one standard deviation in N, 0 or more")
-    deviation = float(np.asarray(own)) if "base_tension" in noise else None
     of_tables = zip(tables, with_history, starts, strict=True)
     courses = [
-        course_of(table, deviation, starts, short_steps, loaded=loaded) if on else None
-        for table, on, starts in of_tables
+        course_of(table, noise, starts, short_steps, loaded=loaded) if on else None for table, on, starts in of_tables
     ]
     known = [(own, course[0]) for own, course in zip(starts, courses, strict=True) if course]
     first = [(own, np.asarray(course.readings)[:, 0].reshape(len(own), -1)) for own, course in known]
-    return predicted, courses, first_guesses(manipulator, first)
+    return courses, first_guesses(manipulator, first)
+
+
+def _split(
+    noise: Mapping[str, ArrayLike | Noise], tables: Sequence[Measurements]
+) -> tuple[dict[str, ArrayLike | Noise], dict[str, float]]:
+    """The noise of the predicted columns, and that of base tensions."""
+    columns = {column for table in tables for column in table.columns if column.startswith("base_tension")}
+    base = {column: given for column, given in noise.items() if column in columns}
+    for column, given in base.items():
+        if not isinstance(given, Noise):
+            check_numbers(f"noise of {column}", [given])
+        if isinstance(given, Noise) or np.ndim(given) or not np.asarray(given) >= 0:
+            raise InputError(f"noise of {column} must be one standard deviation in N, 0 or more")
+    predicted = {column: given for column, given in noise.items() if column not in base}
+    return predicted, {column: float(np.asarray(given)) for column, given in base.items()}
 
 
 def _trials(table: Measurements) -> tuple[str, ...]:

@@ -83,15 +83,21 @@ def _mixed_up(fit: "Fit", table: Measurements, bench: Bench, groups: list[Group]
     assert course is not None
     squares = np.zeros(len(table))
     for group in groups:
-        squares[group.there] += fit.standardised_residuals[group.label] ** 2
-    if not np.all(np.isfinite(squares)) or course.readings.size > MOST_STEPS or course.short_steps is not None:
+        squares[group.there] += (fit.residuals[group.label] / _noise_with_base(fit, group)) ** 2
+    if (
+        not np.all(np.isfinite(squares))
+        or not np.any(squares)
+        or course.readings.size > MOST_STEPS
+        or course.short_steps is not None
+    ):
         return []
     found, now = [], float(np.sum(squares))
     pairs = _suspects(course, squares)
     gain = now - _sums_of_squares(fit, bench, groups, _exchanged(course, [[pair] for pair in pairs]))[: len(pairs)]
     together = _apart([pairs[i] for i in np.argsort(-gain) if gain[i] > HELPS])
     left = float(_sums_of_squares(fit, bench, groups, _exchanged(course, [together]))[0]) if together else now
-    noise = left / now if any(fit.evidence.noise_estimated.values()) else 1.0  # as it would be after the exchange
+    estimated = any(fit.evidence.noise_estimated.values()) or fit.evidence.estimated_inputs
+    noise = left / now if estimated else 1.0  # as it would be after the exchange
     if now - left > LEAST_GAIN * noise:
         trial, step = together[0]
         rows = [np.flatnonzero((course.trial == trial) & (course.step == step + k))[0] for k in (0, 1)]
@@ -111,6 +117,15 @@ def _mixed_up(fit: "Fit", table: Measurements, bench: Bench, groups: list[Group]
                 "step and time"
             ]
     return found
+
+
+def _noise_with_base(fit: "Fit", group: Group) -> np.ndarray:
+    """(readings,), the standard deviations of the readings, with what the noise of base tensions adds."""
+    problem = fit.minimum.problem
+    more = sum(
+        (np.sum(np.asarray(own) ** 2, axis=1) for own in problem.shared.columns.values()), np.zeros(problem.num_data)
+    )
+    return noise_of_readings(fit, group) * np.sqrt(1 + problem.by_group(more)[problem.groups.index(group.label)])
 
 
 def _apart(pairs: list[tuple[int, int]]) -> list[tuple[int, int]]:
@@ -170,7 +185,7 @@ def _sums_of_squares(fit: "Fit", bench: Bench, groups: list[Group], orders: _Ord
     read = _read_in_orders(plain, body, parameters, orders.readings, orders.step, fit.model.nodes)
     total = np.zeros(LANES)
     for group in groups:
-        noise = noise_of_readings(fit, group)
+        noise = _noise_with_base(fit, group)
         total += np.sum(((np.asarray(read[group.column])[:, group.there] - group.observed) / noise) ** 2, axis=1)
     return total
 

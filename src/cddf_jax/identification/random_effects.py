@@ -1,20 +1,33 @@
-"""Friction that differs from trial to trial: its spread, estimated by restricted likelihood."""
+"""Random effects: friction that differs from trial to trial, and errors of the base cells.
 
-from collections.abc import Callable, Mapping
+The error of a base tension moves all readings of its row, and with a history later rows.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
+import jax
 import numpy as np
 
 from ..estimation.determination import determine
 from ..estimation.least_squares import LeastSquaresFit
 from ..estimation.parameter_space import Priors
+from ..estimation.residuals import InputErrors
 from ..estimation.whole_search import INTERRUPTED
+from ..measurements.jitter import LARGEST_JITTER
+from ..measurements.readings import of_tendons
+from ..measurements.table import Measurements
+from .bench import Bench, BenchModel
 from .parameters import TRIALS, Parameters
 
 SPREAD_ROUNDS = 20
 FIRST_SPREAD = 0.1
 SPREADS = (1e-4, 3.0)  # of ln(mu) over trials, smallest and largest; the smallest counts as 0
 RIDGE = 1e-12  # of the largest information, for directions that the data do not determine
+MOST_LEVELS = 400  # of a table; for more the noise of base tensions is not estimated
+
+Slopes = Mapping[str, Mapping[str, np.ndarray]]
 
 
 def fit_trials(
@@ -83,3 +96,101 @@ def _likeliest_spread(statistics: LeastSquaresFit, random: tuple[int, ...]) -> f
 
     found = minimize_scalar(minus_twice, bounds=np.log(SPREADS), method="bounded", options={"xatol": 1e-5})
     return float(np.exp(found.x))
+
+
+# --- errors of base cells -------------------------------------------------------------------------
+
+
+def errors_of_base(model: BenchModel, tables: Sequence[Measurements], noise: Mapping[str, float]) -> InputErrors | None:
+    """The base tensions as inputs with errors; None where none has any.
+
+    A noise that is not stated is estimated where one base tension moves several readings: those of its row, or later
+    ones after a turn. Elsewhere it cannot be told from the noise of the readings, which then includes it. With
+    more than `MOST_LEVELS` different levels it is not estimated either, as that takes long; see `many_levels`.
+
+    Args:
+        model: the bench.
+        tables: its data.
+        noise: by column, the stated standard deviation, N.
+    """
+    sigma, largest, found = {}, {}, []
+    for name, table, bench in zip(model.names, tables, model.experiments, strict=True):
+        if not isinstance(bench, Bench):
+            continue
+        levels = _levels(table, bench)
+        estimable = _is_shared(table, bench, levels) and np.max(levels) < MOST_LEVELS
+        tendons = bench.base_tension.shape[1]
+        for tendon, column in enumerate(of_tendons("base_tension", tendons)):
+            stated = noise.get(column, noise.get("base_tension"))
+            most = LARGEST_JITTER * float(np.max(table[column]))
+            if stated == 0 or not most > 0 or (stated is None and not estimable):
+                continue
+            sigma[label := f"{name}: {column}"] = stated
+            largest[label] = most
+            found.append((label, partial(_slopes, name, table, bench, model, levels, tendon)))
+    return InputErrors(partial(_all_slopes, found), sigma, largest) if found else None
+
+
+def many_levels(model: BenchModel, tables: Sequence[Measurements], noise: Mapping[str, object]) -> list[str]:
+    """The names of the tables whose noise of base tension is neither stated nor estimated, as there are many levels."""
+    every = zip(model.names, tables, model.experiments, strict=True)
+    benches = [(name, table, bench, _levels(table, bench)) for name, table, bench in every if isinstance(bench, Bench)]
+    return [
+        name
+        for name, table, bench, levels in benches
+        if "base_tension" not in noise and np.max(levels) >= MOST_LEVELS and _is_shared(table, bench, levels)
+    ]
+
+
+def _is_shared(table: Measurements, bench: Bench, levels: np.ndarray) -> bool:
+    """Whether a base tension moves several readings."""
+    count = sum(int(np.sum(table.has(column))) for column in bench.columns)
+    turns = bench.course is not None and bench.course.turns
+    return turns or count > bench.base_tension.shape[1] * (int(np.max(levels)) + 1)
+
+
+def _all_slopes(
+    found: Sequence[tuple[str, Callable[[Parameters], Mapping[str, np.ndarray]]]], at: Parameters
+) -> Slopes:
+    return {label: slopes(at) for label, slopes in found}
+
+
+def _levels(table: Measurements, bench: Bench) -> np.ndarray:
+    """(rows,), the level of each row, counted through all trials: rows of a level share the errors of their cells."""
+    if bench.course is not None:
+        trial, step = np.asarray(bench.course.trial), np.asarray(bench.course.step)
+        return np.unique(np.stack([trial, step]), axis=1, return_inverse=True)[1].ravel()
+    level, count = np.zeros(len(table), int), 0
+    for own in table.trials:
+        moved = np.any(np.diff(bench.base_tension[own], axis=0) != 0, axis=1)
+        level[own] = count + np.cumsum(np.append(False, moved))
+        count = int(np.max(level[own])) + 1
+    return level
+
+
+def _slopes(
+    name: str, table: Measurements, bench: Bench, model: BenchModel, levels: np.ndarray, tendon: int, at: Parameters
+) -> dict[str, np.ndarray]:
+    """By group of data, (readings, levels), the derivatives by the base tensions of a tendon.
+
+    They are over the root of the number of different readings of a level. Equal ones are one: the noise of a cell makes
+    no equal readings.
+    """
+    by_base = bench.evaluate(model.manipulator, jax.tree.map(np.asarray, at), model.nodes).by_base
+    tendons, rows = bench.base_tension.shape[1], np.arange(len(table))
+    different = np.unique(np.stack([levels, bench.base_tension[:, tendon]]), axis=1)[0].astype(int)
+    size = np.sqrt(np.bincount(different))
+    found = {}
+    for column in bench.columns:
+        slope = np.asarray(by_base[column]).reshape(len(table), -1, tendons)[:, :, tendon]
+        whole = np.zeros((len(table), size.size))
+        whole[rows, levels] = slope[:, 0]
+        if (course := bench.course) is not None:
+            for trial, steps in enumerate(course.turn_steps):
+                own = np.flatnonzero(np.asarray(course.trial) == trial)
+                for turn, step in enumerate(steps.tolist()):
+                    there = own[np.asarray(course.step)[own] == step]
+                    if there.size:
+                        whole[own, levels[there[0]]] = slope[own, 1 + turn]
+        found[f"{name}: {column}"] = (whole / size)[table.has(column)]
+    return found

@@ -9,6 +9,7 @@ from ..estimation.determination import IDENTIFIED, NOT_IDENTIFIED, Determination
 from ..estimation.remarks import EXACT
 from ..estimation.whole_search import INTERRUPTED
 from ..measurements.columns import is_reading
+from ..measurements.jitter import Steady
 from ..measurements.left_out import CONTRADICTED, as_leave_out, named_rows, rows_in_words, sources
 from ..measurements.readings import of_shape
 from ..measurements.table import Measurements
@@ -19,6 +20,7 @@ from ..units import preferred, shown
 from .bench import Bench, BenchModel
 from .camera import frame_hint
 from .parameters import TRIALS, Parameters, parameter_named, starting_value, unit_of
+from .random_effects import many_levels
 from .tension_before import is_past
 
 if TYPE_CHECKING:
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
 LARGEST_FRICTION = 2.0  # a larger coefficient gives a warning
 INCOMPRESSIBLE = 0.5  # Poisson's ratio of an isotropic material that keeps its volume, the largest possible one
 CHANCE = 1e-3  # p-value below which residuals differ from trial to trial
+SHOWN = 4  # levels that a warning names
 LARGEST_MOVE = 0.5  # standard errors; a larger error by short steps gives a warning
 AGAINST = "tendons travel against the direction that was found for them"
 MOST = 0.5  # of a table's rows; with more rows without a solution the fit fails
@@ -94,11 +97,25 @@ def doubt(ends: Sequence[SolveResults]) -> str:
 def fit_warnings(fit: "Fit") -> list[str]:
     """Warnings about the tables, the statistics and the solver, at the estimate."""
     found = [f"{table.name}: {warning}" for table, own in _warnings_of_tables(fit) for warning in own]
+    with_history = [
+        table for name, table in zip(fit.model.names, fit.tables, strict=True) if name in fit.without_jitter
+    ]
     found += [
         f"{name}: base_tension jitters by {one.noise:.2g} N (standard deviation), and {one.num_ignored} of its turns "
-        f"of {one.least_turn:.2g} N or less are taken for noise; if they are real, give the noise of base_tension"
-        for name, one in fit.without_jitter.items()
+        f"of {one.least_turn:.2g} N or less are taken for noise{merged_in_words(one, table)}; if they are real, give "
+        "the noise of base_tension"
+        for (name, one), table in zip(fit.without_jitter.items(), with_history, strict=True)
         if one.num_ignored
+    ]
+    found += [
+        f"{label} was not given a noise; the readings go together as {fit.input_noise[label]:.2g} N of noise make them "
+        "(standard deviation), and the intervals contain it; give it if you know it"
+        for label in fit.evidence.estimated_inputs
+    ]
+    found += [
+        f"{name}: base_tension has too many levels for an estimate of its noise, and the intervals do not contain it; "
+        "give it, 0 if the base tensions are exact, or fit one reading for each hold"
+        for name in many_levels(fit.model, fit.tables, dict(fit.options["noise"]))  # pyright: ignore
     ]
     found += [
         f"the short steps of the history move {name} by {part:.2g} of its standard error; give more short_steps"
@@ -132,6 +149,15 @@ def fit_warnings(fit: "Fit") -> list[str]:
                 where = f"{np.count_nonzero(which)} of {np.count_nonzero(solves.read)} rows"
                 found.append(f"{where}, {rows_in_words(named_rows([solves.table], [which]))}: {RESULTS[code]}")
     return found
+
+
+def merged_in_words(steady: Steady, table: Measurements) -> str:
+    """Which rows became one level of base tension."""
+    levels = [
+        f"{table.place(one.first)} to {table.place(one.last)} are {one.tension:.5g} N" for one in steady.merged[:SHOWN]
+    ]
+    more = len(steady.merged) - SHOWN
+    return f" ({'; '.join(levels)}{f'; and {more} more levels' if more > 0 else ''})" if levels else ""
 
 
 def _warnings_of_tables(fit: "Fit") -> Iterator[tuple[Measurements, tuple[str, ...]]]:

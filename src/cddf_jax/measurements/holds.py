@@ -49,7 +49,7 @@ class SerialCorrelation(NamedTuple):
         )
 
 
-def hold_labels(levels: ArrayLike, trial: ArrayLike, noise: float | None = None) -> np.ndarray:
+def hold_labels(levels: ArrayLike, trial: ArrayLike) -> np.ndarray:
     """The hold of each row, counted from 0 in the order of the rows.
 
     Consecutive rows belong to one hold if no level changes by more than the noise of the levels. This noise is the
@@ -60,17 +60,13 @@ def hold_labels(levels: ArrayLike, trial: ArrayLike, noise: float | None = None)
     Args:
         levels: (rows, columns), what was set.
         trial: (rows,), labels; a hold ends with its trial.
-        noise: standard deviation of the levels where it is known, in their unit: 5 of them make a step.
     """
     largest = np.maximum(np.max(np.abs(levels), axis=0), 1e-300)
     scaled = np.asarray(levels, float) / largest
     rows, label = len(scaled), np.asarray(trial)
     within = label[1:] == label[:-1]
     change = np.diff(scaled, axis=0)
-    if noise is None:
-        limit, by_gap = _noise_of_levels(np.max(np.abs(change), axis=1, initial=0.0)[within])
-    else:
-        limit, by_gap = STEP * noise / float(np.min(largest)), False
+    limit, by_gap = _noise_of_levels(np.max(np.abs(change), axis=1, initial=0.0)[within])
     new = np.append(True, ~within)
     mean, count = scaled[0].tolist(), 1
     for row, level in enumerate(scaled.tolist()):

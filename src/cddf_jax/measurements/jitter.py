@@ -1,7 +1,8 @@
 """The base tension without the jitter of its cell: in a history every jitter would count as a turn.
 
 Readings of one hold become their mean. A turn counts if the tension then comes back by more than the noise of the cell.
-Between two turns the tension only rises or only falls: the readings are replaced by the nearest such values.
+Between two turns the tension only rises or only falls: the readings are replaced by the nearest such values. Where
+every turn counts, the readings stay as they are.
 """
 
 from itertools import pairwise
@@ -14,8 +15,18 @@ from .holds import CLEAR_GAP, NO_STEP, hold_labels
 SURE = 3.0  # standard deviations of each of two levels by which these differ, if the tension turned
 LARGEST_JITTER = 0.02  # of the largest tension; a larger way back is always a turn
 LEAST_FREEDOM = 5  # degrees of freedom from which the noise within holds is estimated
+FEW = 4  # rows: with a stated noise the mean of so few is not taken, as it may hide a turn
+STEP = 3.0  # standard deviations between the means before and after a step within a hold
 LEAST_IN_HOLD, LEAST_HOLDS = 4, 8  # rows in a hold, and such holds, that can show a ramp
 ONE_WAY = 0.6  # share of holds whose readings change as the levels do, less the share of opposite ones, of a ramp
+
+
+class Level(NamedTuple):
+    """A run of different readings that became one tension."""
+
+    first: int  # row, from 0
+    last: int
+    tension: float  # N
 
 
 class Steady(NamedTuple):
@@ -25,6 +36,7 @@ class Steady(NamedTuple):
     noise: float  # standard deviation of a reading, N; 0 if none was found or stated
     least_turn: float  # N: a larger way back is a turn
     num_ignored: int  # how many turns of the readings are noise
+    merged: tuple[Level, ...] = ()  # what was made one level
 
 
 def without_jitter(readings: np.ndarray, noise: float | None = None) -> Steady:
@@ -37,19 +49,24 @@ def without_jitter(readings: np.ndarray, noise: float | None = None) -> Steady:
     """
     if noise == 0 or readings.size < 2:
         return Steady(readings, 0.0, 0.0, 0)
-    holds = hold_labels(readings[:, None], np.zeros(readings.size), noise)
-    holds = np.arange(readings.size) if _is_ramp(readings, holds) else holds
-    size = np.bincount(holds)
-    first = readings[np.unique(holds, return_index=True)[1]]
-    level = first + np.bincount(holds, readings - first[holds]) / size  # of equal readings the mean is the same
     if noise is None:
-        noise = _within_holds(readings - level[holds], size)
+        holds = hold_labels(readings[:, None], np.zeros(readings.size))
+        holds = _split(readings, holds, _scatter(readings, holds))
+    else:
+        holds = _split(readings, np.zeros(readings.size, int), noise)
+        few = np.bincount(holds)[holds] <= FEW
+        holds = np.cumsum(np.append(True, (np.diff(holds) != 0) | few[1:])) - 1
+    holds = np.arange(readings.size) if _is_ramp(readings, holds) else holds
+    level, size = _means(readings, holds), np.bincount(holds)
+    noise = _scatter(readings, holds) if noise is None else noise
     error = SURE * noise / np.sqrt(size)
     if noise == 0:
         error = np.full(level.size, 0.5 * _small_ways_back(level))
     steady = _between_turns(level, turns_of(level, error), size)
+    noise = noise or float(np.std(level - steady))
     ignored = turns_of(readings).size - turns_of(steady).size
-    return Steady(steady[holds], noise or float(np.std(level - steady)), 2 * float(np.max(error)), ignored)
+    tension = steady[holds] if ignored else readings
+    return Steady(tension, noise, 2 * float(np.max(error)), ignored, _merged(readings, tension))
 
 
 def turns_of(level: np.ndarray, error: np.ndarray | None = None) -> np.ndarray:
@@ -71,6 +88,44 @@ def turns_of(level: np.ndarray, error: np.ndarray | None = None) -> np.ndarray:
     return np.array(turns, int)
 
 
+def _means(readings: np.ndarray, holds: np.ndarray) -> np.ndarray:
+    """(holds,), the mean of each hold; of equal readings it is the same."""
+    first = readings[np.unique(holds, return_index=True)[1]]
+    return first + np.bincount(holds, readings - first[holds]) / np.bincount(holds)
+
+
+def _scatter(readings: np.ndarray, holds: np.ndarray) -> float:
+    """The standard deviation of a reading from the mean of its hold; 0 if there are too few readings."""
+    freedom = readings.size - int(np.max(holds)) - 1
+    error = readings - _means(readings, holds)[holds]
+    return float(np.sqrt(np.sum(error**2) / freedom)) if freedom >= LEAST_FREEDOM else 0.0
+
+
+def _split(readings: np.ndarray, holds: np.ndarray, noise: float) -> np.ndarray:
+    """The holds, those of more than a few rows divided where the means of two parts differ by more than the noise."""
+    total, new = np.append(0.0, np.cumsum(readings)), np.append(True, np.diff(holds) != 0)
+    parts = list(pairwise([*np.flatnonzero(new).tolist(), readings.size])) if noise else []
+    while parts:
+        start, end = parts.pop()
+        if end - start <= FEW:
+            continue
+        middle = np.arange(start + 1, end)
+        before, after = middle - start, end - middle
+        apart = (total[end] - total[middle]) / after - (total[middle] - total[start]) / before
+        over = np.abs(apart) / np.sqrt(1 / before + 1 / after)
+        if np.max(over) > STEP * noise:
+            step = int(middle[np.argmax(over)])
+            new[step] = True
+            parts += [(start, step), (step, end)]
+    return np.cumsum(new) - 1
+
+
+def _merged(readings: np.ndarray, tension: np.ndarray) -> tuple[Level, ...]:
+    ends = np.flatnonzero(np.append(True, np.diff(tension) != 0)).tolist()
+    runs = (Level(first, end - 1, float(tension[first])) for first, end in pairwise([*ends, tension.size]))
+    return tuple(run for run in runs if np.ptp(readings[run.first : run.last + 1]) > 0)
+
+
 def _is_ramp(readings: np.ndarray, holds: np.ndarray) -> bool:
     """Whether readings change within holds as they do from hold to hold: then they are a ramp, and not holds."""
     size = np.bincount(holds)
@@ -80,12 +135,6 @@ def _is_ramp(readings: np.ndarray, holds: np.ndarray) -> bool:
     around = np.concatenate([level[:1], level, level[-1:]])
     alike = (np.sign(slope) * np.sign(around[2:] - around[:-2]))[size >= LEAST_IN_HOLD]
     return alike.size >= LEAST_HOLDS and bool(np.mean(alike) > ONE_WAY)
-
-
-def _within_holds(error: np.ndarray, size: np.ndarray) -> float:
-    """The standard deviation of a reading from the mean of its hold; 0 if there are too few readings."""
-    freedom = int(np.sum(size - 1))
-    return float(np.sqrt(np.sum(error**2) / freedom)) if freedom >= LEAST_FREEDOM else 0.0
 
 
 def _small_ways_back(level: np.ndarray) -> float:

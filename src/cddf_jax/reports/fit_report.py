@@ -276,6 +276,9 @@ def _noise_section(report: Report) -> list[str]:
         tests = _or_dash(report.normality[label].p_value, ".2g"), _or_dash(alike.lag_one, ".2f")
         independent = f"{alike.num_effective:.0f} of {alike.num_readings}"
         rows.append([label, f"{scale * deviation:.3g} {unit}", made_of, *tests, independent])
+    for label, deviation in fit.input_noise.items():
+        kind = "estimated" if label in fit.evidence.estimated_inputs else "as given" if deviation else "none is seen"
+        rows.append([label, f"{deviation:.3g} N", kind, "-", "-", "-"])
     kind = "estimated from the residuals" if fit.noise_estimated else "as given"
     text = f"Noise {kind}; {fit.degrees_of_freedom} degrees of freedom; rank {fit.rank}; {fit.result}."
     return _section("Noise", [*markdown_table(head, rows), "", text])

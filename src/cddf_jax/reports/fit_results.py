@@ -30,7 +30,8 @@ PACKAGES = ("cddf-jax", "jax", "numpy", "scipy", "optimistix", "equinox")
 LEAST_ROWS = 3  # for friction without a model
 # of results.json
 OF_FIT = (
-    *("result", "success", "verdict", "warnings", "noise", "noise_model", "noise_estimated", "serial_correlation"),
+    *("result", "success", "verdict", "warnings", "noise", "noise_model", "noise_estimated", "input_noise"),
+    "serial_correlation",
     *("trial_effects", "trial_spread", "moved_by_steps", "mean_relative_error", "reduced_chi_square"),
     *("degrees_of_freedom", "log_likelihood", "information_criteria", "restarted", "num_steps"),
 )
@@ -38,7 +39,7 @@ OF_DETERMINATION = (
     *("names", "value", "standard_error", "confidence_interval", "status", "combinations", "sums", "correlation"),
     *("rank", "condition_number", "sloppy_direction"),
 )
-OF_JITTER = ("noise", "least_turn", "num_ignored")
+OF_JITTER = ("noise", "least_turn", "num_ignored", "merged")
 OF_MODEL_FREE = ("value", "standard_error", "confidence_interval", "verdict")
 OF_LOOP = (
     *("gain", "gain_standard_error", "gain_interval", "loss", "loss_standard_error", "zero", "zero_p_value"),

@@ -1,0 +1,148 @@
+"""Errors of inputs, against generalised least squares and restricted likelihood with dense covariances in NumPy."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.optimize import least_squares, minimize
+
+from cddf_jax.estimation.least_squares import least_squares_fit
+from cddf_jax.estimation.residuals import InputErrors, Shared
+
+ROWS = 12
+X = np.linspace(1.0, 3.0, ROWS)
+TRUTH = {"a": 0.5, "b": 2.0}
+NOISE = {"one": 0.03, "two": 0.05}
+INPUT = 0.04
+
+
+def model(p, x=X):
+    """Two readings of each row; the last three of `two` also remember the input of row 6."""
+    kept = jnp.where(jnp.arange(ROWS) >= 9, x[5], x)
+    return {"one": p["a"] * x, "two": p["a"] * kept + p["b"]}
+
+
+def by_input(p):
+    """The derivatives of the readings by the inputs."""
+    two = p["a"] * np.eye(ROWS)
+    two[9:] = 0.0
+    two[9:, 5] = p["a"]
+    return {"one": p["a"] * np.eye(ROWS), "two": two}
+
+
+def inputs(sigma):
+    return InputErrors(
+        lambda p: {"x": {name: np.asarray(own) for name, own in by_input(p).items()}}, {"x": sigma}, {"x": 0.3}
+    )
+
+
+def draw(seed=0, size=INPUT):
+    rng = np.random.default_rng(seed)
+    read = {name: np.asarray(own) for name, own in model(TRUTH, X + size * rng.normal(size=ROWS)).items()}
+    return {name: own + NOISE[name] * rng.normal(size=ROWS) for name, own in read.items()}
+
+
+def dense(variances, slope=TRUTH["a"]):
+    """The covariance of all readings for the variances of both columns and of the input."""
+    effect = np.concatenate([*by_input({"a": slope}).values()])
+    return np.diag(np.repeat(variances[:2], ROWS)) + variances[2] * effect @ effect.T
+
+
+DESIGN = np.stack([np.concatenate([X, np.where(np.arange(ROWS) >= 9, X[5], X)]), np.repeat([0.0, 1.0], ROWS)], axis=1)
+
+
+def generalised(variances, data, slope):
+    """Estimate and standard errors of generalised least squares."""
+    weight = np.linalg.inv(dense(variances, slope))
+    covariance = np.linalg.inv(DESIGN.T @ weight @ DESIGN)
+    return covariance @ DESIGN.T @ weight @ np.concatenate([*data.values()]), np.sqrt(np.diag(covariance))
+
+
+def test_known_errors_of_inputs_are_generalised_least_squares():
+    data = draw()
+    found = least_squares_fit(model, TRUTH, data, NOISE, inputs=inputs(INPUT))
+    variances = np.array([*NOISE.values(), INPUT]) ** 2
+    value, error = generalised(variances, data, found.value["a"])
+    np.testing.assert_allclose([*found.value.values()], value, rtol=1e-6)
+    np.testing.assert_allclose([*found.standard_error.values()], error, rtol=1e-3)
+    left = np.concatenate([*data.values()]) - DESIGN @ value
+    covariance = dense(variances, found.value["a"])
+    square, logarithm = left @ np.linalg.solve(covariance, left), np.linalg.slogdet(2 * np.pi * covariance)[1]
+    assert found.log_likelihood == pytest.approx(-0.5 * (square + logarithm), rel=1e-6)
+    np.testing.assert_allclose(found.residuals["one"], left[:ROWS], atol=1e-9)
+    drawn = found.bootstrap(replicates=200, seed=1).standard_error
+    np.testing.assert_allclose([*drawn.values()], error, rtol=0.15)  # three times 1 / sqrt(2 * 200)
+
+
+def test_estimated_errors_of_inputs_have_the_largest_restricted_likelihood():
+    data = draw(seed=3, size=0.1)
+    found = least_squares_fit(model, TRUTH, data, inputs=inputs(None))
+    read = np.concatenate([*data.values()])
+
+    def height(logarithms):
+        covariance = dense(np.exp(logarithms), found.value["a"])
+        weight = np.linalg.inv(covariance)
+        information = DESIGN.T @ weight @ DESIGN
+        left = read - DESIGN @ np.linalg.solve(information, DESIGN.T @ weight @ read)
+        return np.linalg.slogdet(covariance)[1] + np.linalg.slogdet(information)[1] + left @ weight @ left
+
+    best = minimize(height, np.log([1e-3, 1e-3, 1e-2]), method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-10})
+    expected = np.exp(best.x / 2)
+    np.testing.assert_allclose([*found.noise.values(), found.input_noise["x"]], expected, rtol=1e-3)
+
+
+def curve(p):
+    return {"one": p["a"] * jnp.exp(p["b"] * X)}
+
+
+def test_orthogonal_distance_regression_agrees():
+    """Of a curve, with the minimum over parameters and true inputs by SciPy; the errors are small beside the curve."""
+    rng, truth, noise, of_input = np.random.default_rng(5), {"a": 1.0, "b": 0.7}, 0.05, 0.02
+    read = np.asarray(curve(truth)["one"]) + np.hypot(noise, of_input * 0.7 * np.exp(0.7 * X)) * rng.normal(size=ROWS)
+    own = InputErrors(
+        lambda p: {"x": {"one": np.diag(np.asarray(p["a"] * p["b"] * np.exp(p["b"] * X)))}}, {"x": of_input}, {"x": 1.0}
+    )
+    found = least_squares_fit(curve, truth, {"one": read}, noise, inputs=own)
+
+    def distances(u):
+        return np.append((u[0] * np.exp(u[1] * u[2:]) - read) / noise, (u[2:] - X) / of_input)
+
+    expected = least_squares(distances, np.append([1.0, 0.7], X), xtol=1e-12)
+    error = np.sqrt(np.diag(np.linalg.inv(expected.jac.T @ expected.jac)))[:2]
+    np.testing.assert_allclose([*found.standard_error.values()], error, rtol=0.03)
+    assert np.all(np.abs(np.array([*found.value.values()]) - expected.x[:2]) < 0.1 * error)
+
+
+def test_inputs_without_errors_change_nothing():
+    """With 1e-9 of noise, and where none is seen in data that have none."""
+    data = draw(seed=2, size=0.0)
+    plain, tiny, unseen = (
+        least_squares_fit(model, TRUTH, data, inputs=given) for given in (None, inputs(1e-9), inputs(None))
+    )
+    assert unseen.input_noise == {"x": 0.0}
+    for found in (tiny, unseen):
+        for name in plain.names:
+            assert found.value[name] == pytest.approx(plain.value[name], rel=1e-6)
+            np.testing.assert_allclose(found.confidence_interval[name], plain.confidence_interval[name], rtol=1e-6)
+
+
+def test_some_of_the_data_are_whitened_anew():
+    """The readings before row 9 alone, at the same estimate: dense generalised least squares of these."""
+    found = least_squares_fit(model, TRUTH, draw(), NOISE, inputs=inputs(INPUT))
+    kept = np.arange(ROWS) < 9
+    part = found.evidence.within({"one": kept, "two": kept})
+    own = np.tile(kept, 2)
+    covariance = dense(np.array([*NOISE.values(), INPUT]) ** 2, found.value["a"])[np.ix_(own, own)]
+    expected = np.sqrt(np.diag(np.linalg.inv(DESIGN[own].T @ np.linalg.solve(covariance, DESIGN[own]))))
+    np.testing.assert_allclose(part.uncertainty(np.eye(2)).standard_error, expected, rtol=1e-3)
+
+
+def test_whitening():
+    """Against the inverse square root of a dense matrix."""
+    columns = np.random.default_rng(4).normal(size=(7, 3))
+    shared = Shared.of({"x": columns}, {"x": 1.0}, 7)
+    square, directions = np.linalg.eigh(np.eye(7) + columns @ columns.T)
+    root = directions / np.sqrt(square) @ directions.T
+    np.testing.assert_allclose(shared.whitened(np.eye(7)), root, atol=1e-12)
+    np.testing.assert_allclose(shared.unwhitened(root), np.eye(7), atol=1e-12)
+    np.testing.assert_allclose(shared.kept, np.diag(root @ root), atol=1e-12)
+    assert shared.log_determinant == pytest.approx(np.sum(np.log(square)))
