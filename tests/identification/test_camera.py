@@ -1,6 +1,7 @@
 """The frame of measured positions: its pose as one word, the start of the search, and readings out of reach."""
 
 import dataclasses
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -62,7 +63,7 @@ def test_readings_out_of_reach_are_refused_at_once():
     with pytest.raises(InputError) as error:
         cddf.fit(paper_body("exact"), far_away())
     assert str(error.value).startswith("fit: simulated: row 1, tip_x, tip_y: the tip is ")
-    assert "(6 of 6 rows); check the unit, or fit the pose of its frame too: free = friction_coefficient" in str(
+    assert "(6 of 6 rows); check the unit, or fit the pose of its frame too: --free friction_coefficient" in str(
         error.value
     )
     assert "leave the row out" not in str(error.value)
@@ -129,3 +130,8 @@ def test_poses_of_three_tendons_in_the_frame_of_a_tracker():
     for name, value in truth.items():
         assert fit.status[name] == "identified"
         assert abs(fit.value[name] - value) < 3 * fit.standard_error[name]
+    mirrored = replace(table, columns={**table.columns, "tip_z": -table["tip_z"]})  # no rotation does that
+    fit = cddf.fit(body, mirrored, FREE, history=False, leave_out="27, 33", starts=1)
+    assert not fit.success
+    assert "left-handed, change the sign of one axis" in fit.result
+    assert "identified" not in fit.status.values()

@@ -277,7 +277,7 @@ def test_a_header_without_a_known_name_is_found(tmp_path, text):
 def test_further_readings_are_named(tmp_path):
     text = PLAIN.replace("\n", ",1,2\n").replace("1,2", "F_x [N],Winkel (°)", 1)
     read_as = read(tmp_path, text).read_as
-    assert read_as[-1].endswith('to check: --column "Winkel (°)=tip_angle [°]"')  # a load is no reading
+    assert read_as[-1].endswith('then copy: --column "Winkel (°)=tip_angle [°]"')  # a load is no reading
     assert "tip_angle" in read(tmp_path, text, options_in(read_as[-1]))
 
 

@@ -59,8 +59,8 @@ def test_unknown_columns(read):
     names = "row,marker,EM_X (mm),EM_Y (mm),s [mm]\n1,head,79.1,,80\n"
     said = refused(read, BENCH, names.replace(",,", ",12.3,"))
     assert said.endswith(
-        "b.csv: row 1: the columns x and y are missing; add them; a guess by unit, words and order, to check: --column "
-        '"EM_X (mm)=x [mm]" --column "EM_Y (mm)=y [mm]" --column "s [mm]=arc_length [mm]"'
+        "b.csv: row 1: the columns x and y are missing; add them; check these guesses by unit, words and order, then "
+        'copy: --column "EM_X (mm)=x [mm]" --column "EM_Y (mm)=y [mm]" --column "s [mm]=arc_length [mm]"'
     )
     (table,) = read(BENCH, names, columns={"EM_X (mm)": "x [mm]", "s [mm]": "arc_length [mm]"})
     np.testing.assert_allclose([table["x@head"][0], table.markers["head"].arc_length], [0.0791, 0.08], rtol=1e-15)

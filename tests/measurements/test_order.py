@@ -47,7 +47,7 @@ def test_the_order(tmp_path, head, cells, order, said):
         assert said in lines if said else "row" not in lines
 
 
-BACK = "column time: goes back from {} s in row {} to {} s; give each run a trial of its own, a clock that runs on"
+BACK = "column time: goes back from {} s in row {} to {} s; give each run a trial of its own, times that do not start"
 AGAIN = "column step: {} again, as in row {}, after another step; number the rows 1, 2, 3, ... as they were measured"
 
 

@@ -46,15 +46,6 @@ BeforeOption = Annotated[
         show_default="rest",
     ),
 ]
-LeaveOutOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        help='Rows whose readings do not count, by their numbers in the file: "8, 14, 20-23", of several files '
-        '"run_2.csv=8, 14". With a history they stay as steps of the path. "contradicted": all rows that the fit '
-        "contradicts.",
-        show_default="none",
-    ),
-]
 
 
 def fit(
@@ -76,7 +67,7 @@ def fit(
         int,
         typer.Option(help="Short steps for each row of a history, with several tendons or loads.", min=2),
     ] = 4,
-    leave_out: LeaveOutOption = None,
+    leave_out: options.LeaveOutOption = None,
     loss: Annotated[LossName, typer.Option(help="With a loss other than linear, outliers count less.")] = "linear",
     starts: Annotated[
         int | None,

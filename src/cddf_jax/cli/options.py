@@ -106,6 +106,15 @@ AverageHolds = Annotated[
     bool,
     typer.Option("--average-holds", help="One reading for each hold: consecutive rows of a trial at one level."),
 ]
+LeaveOutOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        help='Rows whose readings do not count, by their numbers in the file: "8, 14, 20-23", of several files '
+        '"run_2.csv=8, 14". With a history they stay as steps of the path. "contradicted": all rows that the fit '
+        "contradicts.",
+        show_default="none",
+    ),
+]
 HistoryOption = Annotated[
     bool | None,
     typer.Option(

@@ -40,6 +40,7 @@ def plan(
         typer.Option(help="D for all parameters together, or the parameter to determine best, such as youngs_modulus."),
     ] = "D",
     num: Annotated[int, typer.Option(help="How many measurements to choose, one after the other.", min=1)] = 3,
+    leave_out: options.LeaveOutOption = None,
     kinematics: options.KinematicsOption = None,
     as_json: options.AsJson = False,
     out: options.Out = None,
@@ -52,7 +53,7 @@ def plan(
         from ..identification.fit import fit
         from ..reports.plan_report import plan_as_dict, plan_as_markdown
         from ..units import quantity
-        from .fit_options import read_candidates, read_setting
+        from .fit_options import read_candidates, read_leave_out, read_setting
 
     names = tuple(free) if free else None
     largest = quantity(tension, "force", "--tension")
@@ -61,7 +62,10 @@ def plan(
     setting = read_setting(options.loads_of(read, tip_force, tip_moment, gravity), marker, given)
     choices = standard_candidates(manipulator, largest, setting) if candidates is None else read_candidates(candidates)
     tables = options.read_data(data, column, holds_averaged=average_holds)
-    known = fit(manipulator, tables, names, setting=setting, history=history) if tables else manipulator
+    known = manipulator
+    if tables:
+        rows = read_leave_out(leave_out)
+        known = fit(manipulator, tables, names, setting=setting, history=history, leave_out=rows)
     found = plan(known, choices, names, setting=setting, criterion=criterion, num=num)
     text, answer = plan_as_markdown(found), plan_as_dict(found)
     with options.printed(lambda: text, answer, as_json=as_json):

@@ -148,7 +148,7 @@ def _uneven(name: str, residual: np.ndarray, values: np.ndarray) -> list[str]:
     from scipy.stats import spearmanr
 
     chance = np.asarray(spearmanr(np.abs(values), np.abs(residual), alternative="greater"))[1]
-    grown = f'{name}: residuals grow with the reading; let the noise do so, Noise() for it or "0.1 N + 1 %"'
+    grown = f'{name}: residuals grow with the reading; give a noise that grows too, Noise() or "0.1 N + 1 %"'
     return [grown] if chance < GROWTH_CHANCE else []
 
 

@@ -153,10 +153,16 @@ def _above_numbers(rows: Sequence[Row]) -> tuple[float, int]:
     while (
         (i := first - len(above) - 1) >= 0
         and filled[i] >= max(min(2, filled[first]), filled[first] / 2)
-        and (not above or rows[i][0] == rows[i + 1][0] - 1)
+        and (not above or rows[i][0] == rows[i + 1][0] - 1 or _repeats(rows[i + 1][1]))
     ):
         above.append(i)
     return most, max(reversed(above), key=lambda i: filled[i], default=first)
+
+
+def _repeats(cells: Sequence[str]) -> bool:
+    """Whether two cells are the same, as units are, and as the heads of columns are not."""
+    filled = [cell for cell in cells if cell]
+    return len(set(filled)) < len(filled)
 
 
 def _numbers_and_words(cells: Sequence[str]) -> tuple[int, int]:

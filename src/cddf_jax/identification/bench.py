@@ -419,7 +419,7 @@ def _check_tip_angles(table: Measurements, bench: Bench, *, zero_is_free: bool) 
     if bad.size:
         got, more = shown(table["tip_angle"][bad[0]], "angle"), f" (and {bad.size - 1} more)" if bad.size > 1 else ""
         remedy = (
-            f"leave it out, or {TAKE_THE_PLANE}"
+            f"leave it out (leave_out, --leave-out), or {TAKE_THE_PLANE}"
             if angle[bad[0]] > 0
             else f"subtract the reading at rest, fit angle_zero, or {TAKE_THE_PLANE}"
         )

@@ -6,10 +6,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from ..errors import InputError
+from ..estimation.least_squares import LeastSquaresFit
 from ..estimation.levenberg_marquardt import UNEXPLAINED
 from ..estimation.observations import Noise
 from ..estimation.parameter_space import Bounds
 from ..measurements.markers import registered
+from ..robot.manipulator import Manipulator
 from .bench import Bench, BenchModel, Group
 from .parameters import CAMERA, TRIALS, camera_parameters, stiffness_parameter
 
@@ -99,7 +101,8 @@ def check_reach(
 def _with_pose(free: Iterable[str]) -> str:
     """How to fit the pose of the camera with the parameters that are fitted already."""
     own = sorted({name for name in free if not name.startswith((TRIALS, CAMERA))})
-    return f"fit the pose of its frame too: free = {', '.join([*own, CAMERA])} (one --free for each)"
+    names = [*own, CAMERA]
+    return f"fit the pose of its frame too: {' '.join(f'--free {name}' for name in names)} (free={names} in Python)"
 
 
 def frame_hint(fit: "Fit") -> str:
@@ -109,6 +112,21 @@ def frame_hint(fit: "Fit") -> str:
     if ratio < UNEXPLAINED or group not in positions or set(camera_parameters(fit.manipulator)) <= set(fit.names):
         return ""
     return f"{group} is hardly explained: if it is not measured in the frame of the base, {_with_pose(fit.names)}."
+
+
+def unexplained_pose(statistics: LeastSquaresFit, groups: Sequence[Group], manipulator: Manipulator) -> str:
+    """Why the pose that was fitted cannot be that of the camera; "" where it explains the positions."""
+    if not set(camera_parameters(manipulator)) <= set(statistics.names):
+        return ""
+    for group in (group for point in _points(groups) for group in point.axes.values()):
+        error, scatter = statistics.residuals[group.label], np.std(group.observed)
+        one_outlier = np.max(error**2, initial=0.0) > 0.5 * np.sum(error**2)
+        if np.std(error) > UNEXPLAINED * scatter > 0 and not one_outlier:
+            return (
+                f"no pose of the camera explains {group.label}; if its frame is left-handed, change the sign of one "
+                "axis, and check the order and the units of the columns"
+            )
+    return ""
 
 
 def _gap(

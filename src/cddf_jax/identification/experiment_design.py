@@ -124,11 +124,13 @@ def plan(
         nodes: as in `solve`.
 
     Raises:
-        InputError: without candidates, for unknown parameters or an unknown criterion.
+        InputError: without candidates, for a fit that failed, unknown parameters or an unknown criterion.
     """
     if not candidates:
         raise InputError("plan: there are no candidates; give one or more")
     if isinstance(known, Fit):
+        if not known.success:
+            raise InputError(f"plan: the fit of the data failed: {known.result}")
         if known.trial_effects:
             raise InputError("plan: needs a fit whose friction is the same in every trial; fit without per_trial")
         body, parameters, nodes = known.model.manipulator, known.parameters, known.model.nodes

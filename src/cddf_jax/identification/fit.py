@@ -19,8 +19,9 @@ from ..measurements.markers import marker_column
 from ..measurements.table import Measurements
 from ..numerics.given_numbers import check_numbers
 from ..robot.manipulator import Manipulator
+from ..statics.arguments import refuse_batch
 from . import bench
-from .camera import camera_start, check_reach
+from .camera import camera_start, check_reach, unexplained_pose
 from .course import SHORT_STEPS, Course, course_of, has_history
 from .order_checks import order_remarks
 from .parameters import (
@@ -295,6 +296,7 @@ def fit(
     """
     if not isinstance(manipulator, Manipulator):
         raise TypeError(f"fit: the first argument must be a Manipulator, got {type(manipulator).__name__}")
+    refuse_batch("fit", manipulator)
     tables = (data,) if isinstance(data, Measurements) else tuple(data)
     with within("fit"):
         free = free_parameters(manipulator, free)
@@ -437,7 +439,8 @@ def _conclude(
     """The result of `fit` from the statistics: the body with the estimates, and how the solves of each table ended."""
     body = model.manipulator
     ends = tuple(solve_results(statistics.parameters, tables, model))
-    if statistics.success and (reason := doubt(ends)):
+    groups = bench.groups_of(tables, model)
+    if statistics.success and (reason := unexplained_pose(statistics, groups, body) or doubt(ends)):
         statistics = statistics.doubted(reason)
     both = "friction_coefficient", stiffness_parameter(body)
     fixed = {n: starting_value(body, n) for n in both if n not in statistics.names}

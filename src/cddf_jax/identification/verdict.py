@@ -89,8 +89,8 @@ def doubt(ends: Sequence[SolveResults]) -> str:
     return (
         f"{AGAINST} in {found} of {count} rows: "
         f"{rows_in_words(rows)}; parts of them stick there. Leave these rows out: "
-        f"{as_leave_out(rows, alone=alone)}, or --leave-out {CONTRADICTED} for these and for those that the next fits "
-        "contradict (leave_out in Python). Or state the directions in columns direction and direction_2"
+        f"{as_leave_out(rows, alone=alone)}, or --leave-out {CONTRADICTED} to repeat the fit until no row is "
+        "contradicted (leave_out in Python). Or state the directions in columns direction and direction_2"
     )
 
 

@@ -19,7 +19,8 @@ from .columns import DIRECTIONS, PULLEY, column_dimension, column_resembled
 from .readings import tendon_number
 
 _WORDS = {
-    "base": "base basis unten bottom lower proximal prox motor drive driven actuator antrieb winch input pull",
+    "base": "base basis unten bottom lower proximal prox motor drive driven actuator antrieb winch input pull encoder "
+    "servo",
     "tip": "tip spitze oben top upper distal dist end ende output",
     "force": "force kraft tension load cell lc f",
     "angle": "angle winkel theta phi bend bending heading",
@@ -77,7 +78,7 @@ def advice(unused: Sequence[Unused], guesses: Mapping[str, str], needed: Sequenc
         options = " ".join(option(one.head, guesses[one.head]) for one in unused if one.head in guesses)
         in_header = all(name_and_unit(head)[1] for head in guesses)
         note = "" if in_header else " (a unit that the header lacks is a guess too)"
-        parts.append(f"a guess by unit, words and order, to check{note}: {options}")
+        parts.append(f"check these guesses by unit, words and order{note}, then copy: {options}")
     count = Counter(one.head for one in unused)
     if rest := [short(head) for head in count if head not in guesses and count[head] == 1]:
         parts.append(f"no guess for {', '.join(rest[:_SHOWN])}{', ...' if len(rest) > _SHOWN else ''}")

@@ -65,7 +65,7 @@ def column_resembled(name: str) -> str | None:
         return _SPELLINGS[stem]
     written = re.sub(r"\W+", "_", name.lower())
     close = get_close_matches(written, COLUMNS, 1, _LIKENESS)
-    if not close or close[0] in written:  # base_tension_set is qualified, not misspelt
+    if not close or close[0] in written or close[0][:-2] == written:  # base_tension_set and tip_force are words
         return None
     other_component = re.fullmatch(".*_[a-z]", written) and written[:-1] == close[0][:-1]  # tip_force_n
     return None if other_component else close[0]

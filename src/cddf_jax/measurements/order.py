@@ -43,7 +43,7 @@ def check_order(columns: Mapping[str, np.ndarray], rows: ArrayLike) -> list[str]
     went = f"goes back from {time[before]:.9g} s in row {row[order][before]} to {time[i]:.9g} s"
     where = f"row {row[order][i]}, column time"
     if "step" not in columns:
-        remedy = f"{_BY_TRIAL}, a clock that runs on (with the date), or the order by a column step"
+        remedy = f"{_BY_TRIAL}, times that do not start again (with the date), or the order by a column step"
         raise InputError(f"{where}: {went}; {remedy}")
     if sorted_by_step:
         raise InputError(f"{where}: {went} in the order of step, not of the file; correct one, or leave time out")

@@ -163,7 +163,7 @@ def _unknown(name: str, places: Mapping[str, Place]) -> str:
     known = dict.fromkeys(other.split(".")[0] for other in places)
     stem, tendon = stem_and_tendon(name)
     if tendon is not None and of_tendon(stem, 0) not in places:
-        remedy = f"{stem} must hold a number for each tendon, so that one of them has a name"
+        remedy = f"give {stem} a number for each tendon; then each of them has a name"
     elif (counted := _counted(name)) != name:
         remedy = f"tendons count from 1; write {counted!r}"
     elif close := get_close_matches(name, [*known, *places], 1):

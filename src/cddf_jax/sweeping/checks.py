@@ -15,7 +15,7 @@ from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..robot.named_numbers import Case, holds, stem_and_tendon
 from ..robot.validation import check_weight
-from ..statics.arguments import check_nodes
+from ..statics.arguments import check_nodes, refuse_batch
 from ..statics.targets import Target, TipPosition
 from .axes import ALONG_A_PATH, OPTIONS, RESERVED
 from .one_solve import IN_SPACE, OUTPUTS
@@ -88,6 +88,7 @@ def _check_short_steps(work: "Sweep") -> None:
 def check_sweep(work: "Sweep") -> None:
     """Refuse what cannot be solved or is not known."""
     _check_kinds(work)
+    refuse_batch("sweep", work.manipulator)
     if work.history:
         _check_history(work)
     for name in ("outputs", "sensitivities"):
