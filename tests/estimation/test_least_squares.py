@@ -422,7 +422,7 @@ def test_a_model_without_a_number_is_reported_as_a_failure(sigma):
 
 
 def test_too_few_steps_are_a_failure():
-    fit = least_squares_fit(decay, {"height": 100.0, "rate": 10.0, "floor": -5.0}, DECAY, 0.03, max_steps=2)
+    fit = least_squares_fit(decay, {"height": 100.0, "rate": 10.0, "floor": -5.0}, DECAY, 0.03, max_steps=1)
     assert not fit.success
     assert "stopped short" in fit.result
 

@@ -20,15 +20,16 @@ def decay(p):
     return p["height"] * jnp.exp(-p["rate"] * X)
 
 
-def test_portions_of_steps_find_the_same():
-    """One step at a time, and all at once."""
+def test_portions_of_steps_find_the_same(monkeypatch):
+    """One step at a time, as where each one is slow, and all at once."""
+    monkeypatch.setattr(levenberg_marquardt, "BRIEF", -1.0)
     problem = least_squares_fit(decay, START, DATA, sigma=0.01).minimum.problem
     found = []
     for portion in 1, 500:
         before = WATCHED.set(Watch(portion=portion))
         found.append(minimise(problem, np.array([0.3, -0.4])))
         WATCHED.reset(before)
-    assert all(one.solved and one.num_steps > 3 for one in found)
+    assert all(one.solved and 3 < one.num_steps < 100 for one in found)
     np.testing.assert_allclose(found[0].parameters, found[1].parameters, rtol=1e-8)
 
 

@@ -116,12 +116,15 @@ class Evidence:
 
     def of(self, groups: Collection[str], with_priors_of: Collection[str] = ()) -> "Evidence":
         """Only some groups of the data, and only the priors of the named parameters."""
+        if unknown := [name for name in groups if name not in self.rows]:
+            raise KeyError(unknown[0])
         found = self._selected({name: np.full(len(own), name in groups) for name, own in self.rows.items()})
+        kept = [name for name in self.rows if name in groups]  # in the order of `shared`
         return replace(
             found,
-            rows={name: found.rows[name] for name in groups},
+            rows={name: found.rows[name] for name in kept},
             prior_rows={i: row for i, row in self.prior_rows.items() if self.space.names[i] in with_priors_of},
-            noise_slopes={name: self.noise_slopes[name] for name in groups},
+            noise_slopes={name: self.noise_slopes[name] for name in kept},
             random=tuple(i for i in self.random if self.space.names[i] in with_priors_of),
         )
 

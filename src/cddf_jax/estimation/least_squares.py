@@ -23,7 +23,7 @@ from .remarks import remarks_on_parameters, remarks_on_residuals
 from .residuals import Data, InputErrors, LeastSquaresProblem, Shared, no_inputs
 from .restarts import Searched, search
 from .robust_loss import LOSSES
-from .whole_search import FitTask
+from .whole_search import INTERRUPTED, FitTask
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,6 +78,8 @@ class LeastSquaresFit(Determination):
     @property
     def remarks(self) -> tuple[str, ...]:
         """Remarks on parameters at a bound, without effect or determined by one datum, and on residuals."""
+        if self.result == INTERRUPTED:  # some remarks fit again
+            return ()
         return (
             *([self.restarted] if self.restarted else []),
             *remarks_on_parameters(self),

@@ -128,7 +128,7 @@ def minimise(problem: LeastSquaresProblem, z: np.ndarray, held: np.ndarray | Non
     `held` are values at which parameters are held, NaN for those that are free. The steps are done in portions, so that
     progress can be shown, and the search can be interrupted.
     """
-    watch, reach, steps = WATCHED.get() or Watch(), np.asarray(1.0), 0
+    watch, reach, steps = WATCHED.get() or Watch(), np.array([1.0, SHORTER]), 0
     at = np.full(len(z), np.nan) if held is None else held
     with stage("step 1") as here:
         while True:
@@ -188,12 +188,13 @@ class _TrustRegion(optx.AbstractSearch):
     the model only tiny steps help.
     """
 
-    reach: Float[Numbers, ""]  # of the first step
+    reach: Float[Numbers, " 2"]  # of the first step, and the factor on it if that is not taken
     portion: Int[Numbers, ""]  # steps after which the search pauses
     tolerance: float
 
     def init(self, y, f_info_struct):
-        return _Reach(jnp.asarray(self.reach), jnp.asarray(SHORTER), jnp.asarray(0))
+        size, shrink = jnp.asarray(self.reach)
+        return _Reach(size, shrink, jnp.asarray(-1))  # what comes first is no step, but a look at the place
 
     def step(self, first_step, y, y_eval, f_info, f_eval_info, state):
         classical = optx.ClassicalTrustRegion()
@@ -205,7 +206,8 @@ class _TrustRegion(optx.AbstractSearch):
         short = jnp.all(jnp.abs(moved) < self.tolerance * (1 + jnp.abs(y_eval)))
         useful = accept & ~rounding
         size = state.size * jnp.where(useful, factor, state.shrink)
-        new = _Reach(size, jnp.where(useful, SHORTER, state.shrink / 2), state.num_steps + 1)
+        shrink = jnp.where(useful, jnp.where(first_step, state.shrink, SHORTER), state.shrink / 2)
+        new = _Reach(size, shrink, state.num_steps + 1)
         paused = optx.RESULTS.where(new.num_steps < self.portion, result, optx.RESULTS.nonlinear_max_steps_reached)
         return size, accept | rounding | short, paused, new
 
@@ -241,7 +243,7 @@ def _descend(
     problem: LeastSquaresProblem,
     z: Float[Numbers, " n"],
     held: Float[Numbers, " n"],
-    reach: Float[Numbers, ""],
+    reach: Float[Numbers, " 2"],
     portion: Int[Numbers, ""],
     tolerance: float,
 ) -> tuple[ArrayLike, ...]:
@@ -269,13 +271,14 @@ def _descend(
             optimiser,
             jnp.asarray(z),
             options={"jac": "fwd"},
-            max_steps=problem.max_steps,
+            max_steps=problem.max_steps + 1,  # and the look at the first place
             throw=False,
         )
         found = _at(problem, solution.value, held)
-    solved = solution.result == optx.RESULTS.successful
-    ended = solution.result != optx.RESULTS.nonlinear_max_steps_reached
-    return *found, solution.stats["num_steps"], solved, solution.state.search_state.size, ended
+    paused, search = solution.result == optx.RESULTS.nonlinear_max_steps_reached, solution.state.search_state
+    solved = (solution.result == optx.RESULTS.successful) | (paused & solution.state.terminate)  # with its last step
+    reach = jnp.stack([search.size, search.shrink])
+    return *found, search.num_steps, solved, reach, solved | ~paused
 
 
 @kept_program
@@ -284,7 +287,7 @@ def _descend_all(problem: LeastSquaresProblem, data: Data, z: Float[Numbers, "se
     free = jnp.full(z.shape[1], jnp.nan)
 
     def one(data, z):
-        whole = np.asarray(1.0), np.asarray(problem.max_steps)
+        whole = np.array([1.0, SHORTER]), np.asarray(problem.max_steps)
         return _descend(replace(problem, data=data), z, free, *whole, BATCH_TOLERANCE)[:-2]
 
     return jax.vmap(one)(data, z)

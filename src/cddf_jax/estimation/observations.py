@@ -22,6 +22,7 @@ NEGLIGIBLE = 1e-3  # of the noise: a smaller part of it is set to 0
 EXACTLY = {"ftol": 1e-15, "gtol": 1e-12, "maxiter": 500, "maxls": 60}  # of the likelihood of floor and fraction
 LEAST_FALL = 1.0  # of minus twice the logarithm of the likelihood, by the noise of inputs that was not given
 LINEAR_ROUNDS, LIKELY_ENOUGH = 200, 1e-7
+NOT_MOVING = 1e-12  # singular values of the effects of inputs below this times the largest are rounding
 DECADES = 12.0  # logarithm of the largest noise of an input over the smallest
 WINSOR = 1.0  # squares of residuals count up to this under a robust loss: Huber (1981), proposal 2
 WINSORED_SQUARE = 0.5160585  # their mean for a Gaussian: E min(Z^2, 1)
@@ -171,8 +172,8 @@ class _Linear(NamedTuple):
             shared = self._shared(deviation, now)
             basis, pulls = self._basis(shared, rows), _whitened(shared, errors, count)
             last, height = height, 2 * np.sum(np.log(now)) + shared.log_determinant + np.sum(pulls**2)
-            values = spectrum_of(_whitened(shared, rows, count)).values
-            height += 2 * np.sum(np.log(np.maximum(values, TINY))) - np.sum((basis.T @ pulls) ** 2)
+            spectrum = spectrum_of(_whitened(shared, rows, count))  # what is not determined is rounding
+            height += 2 * np.sum(np.log(spectrum.values[spectrum.determined])) - np.sum((basis.T @ pulls) ** 2)
             if abs(last - height) < LIKELY_ENOUGH:
                 break
             error = np.asarray(shared.whitened(pulls[:count]))
@@ -201,17 +202,17 @@ class _Linear(NamedTuple):
         effect = np.zeros((len(rows), self.effects[name].shape[1]))
         effect[:count] = others.whitened(self.effects[name] / noise[:, None])
         effect -= basis @ (basis.T @ effect)
-        square, directions = np.linalg.eigh(effect.T @ effect)
-        pull = (directions.T @ (effect.T @ _whitened(others, errors, count))) ** 2
-        square = np.maximum(square, 0.0)
+        directions, size, _ = np.linalg.svd(effect, full_matrices=False)
+        moving = size > NOT_MOVING * max(np.max(size), TINY)
+        pull, square = (directions.T[moving] @ _whitened(others, errors, count)) ** 2, size[moving] ** 2
 
         def height(logarithm: float) -> float:
-            variance = np.exp(2 * logarithm)
-            return float(np.sum(np.log1p(variance * square) - variance * pull / (1 + variance * square)))
+            grown = 1 + np.exp(2 * logarithm) * square
+            return float(np.sum(np.log(grown) + pull / grown))  # no differences of large numbers
 
         largest = np.log(self.inputs.largest[name])
         found = minimize_scalar(height, bounds=(largest - DECADES, largest), method="bounded", options={"xatol": 1e-6})
-        return float(np.exp(found.x)) if found.fun < 0 else 0.0
+        return float(np.exp(found.x)) if found.fun < np.sum(pull) else 0.0
 
 
 def _whitened(shared: Shared, rows: np.ndarray, count: int) -> np.ndarray:

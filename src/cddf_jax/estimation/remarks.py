@@ -53,10 +53,11 @@ def remarks_on_residuals(fit: "LeastSquaresFit") -> list[str]:
     """Remarks on groups that are met exactly or hardly explained, outliers, noise with few degrees of freedom."""
     evidence, (problem, outcome) = fit.evidence, fit.minimum
     found, residuals, spectrum = [], problem.by_group(outcome.residual), evidence.spectrum
+    raw = problem.by_group(problem.unwhitened(outcome.residual))
     for i, (name, rows) in enumerate(evidence.rows.items()):
         residual, values, noise = residuals[i], np.ravel(problem.data.values[i]), np.ravel(problem.data.noise[i])
         estimated = evidence.noise_estimated[name]
-        error, far = residual * noise, None
+        error, far = raw[i] * noise, None
         if estimated and np.max(noise) <= EXACT * np.max(np.abs(values), initial=0.0):
             found.append(
                 f"{name} is met exactly, its noise cannot be estimated: standard errors mean nothing; give the noise"
@@ -96,13 +97,13 @@ def unexplained_groups(evidence: Evidence, minimum: Minimum) -> list[str]:
     given noise count as explained.
     """
     problem, outcome = minimum
-    found, residuals = {}, problem.by_group(outcome.residual)
-    groups = zip(problem.groups, problem.data.values, problem.data.noise, residuals, strict=True)
-    for name, values, sigma, residual in groups:
+    residuals, raw = (problem.by_group(rows) for rows in (outcome.residual, problem.unwhitened(outcome.residual)))
+    found, groups = {}, zip(problem.groups, problem.data.values, problem.data.noise, residuals, raw, strict=True)
+    for name, values, sigma, residual, unwhitened in groups:
         values = np.ravel(values)
         estimated = evidence.noise_estimated[name]
         near = np.abs(residual) <= WITHIN if estimated else np.full(values.size, True)
-        error, values = (residual * np.ravel(sigma))[near], values[near]
+        error, values = (unwhitened * np.ravel(sigma))[near], values[near]
         if values.size < 3 or not (estimated or np.mean(residual**2) > AS_GIVEN):
             continue
         as_a_constant = np.mean(error**2) > UNEXPLAINED**2 * np.var(values)

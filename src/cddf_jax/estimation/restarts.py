@@ -120,7 +120,8 @@ def _is_enough(task: FitTask, ending: Ending, found: list[Outcome]) -> bool:
     cost = _cost(task, ending)
     alike = np.isfinite(cost) and np.allclose(_costs(found), cost, rtol=SAME, atol=EXACT)
     problem, outcome = ending.minimum
-    groups = zip(problem.data.values, problem.data.noise, problem.by_group(outcome.residual), strict=True)
+    raw = problem.by_group(problem.unwhitened(outcome.residual))
+    groups = zip(problem.data.values, problem.data.noise, raw, strict=True)
     # on a plateau the residuals of some group scatter as much as the group itself
     flat = any(np.std(r * np.ravel(s)) > UNEXPLAINED * np.std(v) > 0 for v, s, r in groups)
     return bool(alike and not (flat and ending.determination.rank < len(problem.space.names)))

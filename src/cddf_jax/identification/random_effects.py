@@ -62,6 +62,8 @@ def fit_trials(
     for _ in range(SPREAD_ROUNDS):
         last, spread = spread, _likeliest_spread(statistics, random)
         statistics = fitted({name: np.asarray(value) for name, value in statistics.parameters.items()}, spread, 1)
+        if statistics.result == INTERRUPTED:
+            return statistics, spread
         if abs(spread - last) < 1e-3 * last:
             break
     evidence = replace(statistics.evidence, random=random)
