@@ -52,13 +52,17 @@ BOTH = ("friction_coefficient", "youngs_modulus")
 def test_gain_and_zeros_of_the_instruments(paper):
     truth = {"tip_gain": 1.02, "tip_zero": 0.3, "angle_zero": 0.01}
     table = readings(1, gain=1.02, zero=0.3, turned=0.01)
-    found = cddf.fit(paper, table, (*BOTH, *truth), {"tip_gain": (1.0, 0.03)}, noise=NOISE)
+    exact = NOISE | {"base_tension": 0.0}
+    found = cddf.fit(paper, table, (*BOTH, *truth), {"tip_gain": (1.0, 0.03)}, noise=exact)
     assert found.success
     within(found, friction_coefficient=MU, youngs_modulus=E, **truth)
     assert set(found.status.values()) == {"identified"}
     # a fit that takes the cells at their word is far off
-    plain = cddf.fit(paper, table, noise=NOISE)
+    plain = cddf.fit(paper, table, noise=exact)
     assert plain.reduced_chi_square > 2
+    # noise of the base cell cannot take their place without a word
+    doubtful = cddf.fit(paper, table, noise=NOISE)
+    assert any("follow one another from level to level" in warning for warning in doubtful.warnings)
     ranking = cddf.compare({"plain": plain, "errors of the cells": found})
     assert ranking[0].name == "errors of the cells"
     assert ranking[0].cross_validation < 1.1 < ranking[1].cross_validation

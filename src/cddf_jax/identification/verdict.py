@@ -9,6 +9,7 @@ from ..estimation.determination import IDENTIFIED, NOT_IDENTIFIED, Determination
 from ..estimation.remarks import EXACT
 from ..estimation.whole_search import INTERRUPTED
 from ..measurements.columns import is_reading
+from ..measurements.holds import ALARM, LEAST_PAIRS
 from ..measurements.jitter import Steady
 from ..measurements.left_out import CONTRADICTED, as_leave_out, named_rows, rows_in_words, sources
 from ..measurements.readings import of_shape
@@ -108,8 +109,9 @@ def fit_warnings(fit: "Fit") -> list[str]:
         if one.num_ignored
     ]
     found += [
-        f"{label} was not given a noise; the readings go together as {fit.input_noise[label]:.2g} N of noise make them "
-        "(standard deviation), and the intervals contain it; give it if you know it"
+        f"{label} was not given a noise; the readings of a row deviate together, as {fit.input_noise[label]:.2g} N of "
+        f"noise in it would cause (standard deviation), and the intervals contain it{_following(fit, label)}; give it "
+        "if you know it, 0 for none"
         for label in fit.evidence.estimated_inputs
     ]
     found += [
@@ -158,6 +160,20 @@ def merged_in_words(steady: Steady, table: Measurements) -> str:
     ]
     more = len(steady.merged) - SHOWN
     return f" ({'; '.join(levels)}{f'; and {more} more levels' if more > 0 else ''})" if levels else ""
+
+
+def _following(fit: "Fit", label: str) -> str:
+    """In words that the errors of a base cell follow one another, which noise does not do; "" where they do not."""
+    shared, rows = fit.minimum.problem.shared, fit.minimum.outcome.residual[: fit.minimum.problem.num_data]
+    likely = shared.columns[label].T @ np.asarray(shared.whitened(rows))  # the errors of the levels, in their order
+    pairs, square = likely.size - 1, float(likely @ likely)
+    correlation = float(likely[1:] @ likely[:-1]) / square if square > 0 else 0.0
+    if pairs < LEAST_PAIRS or correlation <= ALARM / np.sqrt(pairs):
+        return ""
+    return (
+        f"; but these errors follow one another from level to level (correlation {correlation:.2f}), as a wrong gain, "
+        "zero or model makes them: check the cells and the body"
+    )
 
 
 def _warnings_of_tables(fit: "Fit") -> Iterator[tuple[Measurements, tuple[str, ...]]]:
