@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby
-from typing import Literal, Protocol, TypeVar
+from typing import Literal, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -25,6 +25,7 @@ LeaveOut = Rows | Mapping[str, Rows]
 LeftOut = dict[str, list[int]]  # by file, the numbers of rows
 
 
+@runtime_checkable
 class Fitted(Protocol):
     """A fit that knows which rows it contradicts."""
 
