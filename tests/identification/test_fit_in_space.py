@@ -338,7 +338,7 @@ def with_angles(angles, body=ROD, **options):
     [
         (
             ANGLES,
-            "bench: row 5, column tip_angle: 198.1 deg, but .* from 0 to 180 deg; leave it out, or take a body in",
+            "bench: row 5, column tip_angle: 198.1 deg, but .* from 0 to 180 deg; leave it out .*, or take a body in",
         ),
         (
             [-60.0, -20.0, 0.0, 20.0, 60.0],
