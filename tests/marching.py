@@ -8,28 +8,28 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from cddf_jax.mechanics import bending
-from cddf_jax.mechanics.friction import Pull, ratio_rate, spent_rate
+from cddf_jax.mechanics.friction import Pull, ratio_factor, spent_rate
+from cddf_jax.mechanics.geometry import axis_of
+from cddf_jax.mechanics.march import turn_at_joint
 from cddf_jax.mechanics.problem import (
     Nodal,
     Number,
     Problem,
     Solution,
     State,
-    axis_of,
     edge_nudge,
     guarded_section,
     load_rate,
-    moment_rate_of,
     ones_at_base,
     spent_scale,
     starts_of_newton,
     strain_along,
     strain_of,
     tension_of,
-    turn_at_joint,
 )
 from cddf_jax.mechanics.truncation_error import ACCURACY
 from cddf_jax.numerics.arrays import zero_as
+from cddf_jax.robot.loads import planar_cross
 
 
 class Marching(eqx.Module):
@@ -42,12 +42,12 @@ class Marching(eqx.Module):
     """
 
     steps: int = eqx.field(default=4, static=True)
-    max_passes: ClassVar[int] = 64
+    max_iterations: ClassVar[int] = 64
 
     def __call__(self, problem: Problem) -> Solution:
         coarse, _ = _march(problem, self.steps)
         tip, (starts, along) = _march(problem, 2 * self.steps)
-        length = problem.panels.edges[-1]
+        length = problem.elements.edges[-1]
         one = jnp.ones_like(length)
         force = jnp.max(jnp.abs(problem.outboard.starts)) + problem.moment_scale / length
         pull = Pull(tip.ratio, spent_scale(problem, tip.pull))
@@ -76,32 +76,33 @@ class Marching(eqx.Module):
 
 
 def _march(problem: Problem, steps: int) -> tuple[State, tuple[State, State]]:
-    """The state at the tip; at the start of every panel; at every node and the end of every panel."""
-    cut = problem.panels
+    """The state at the tip; at the start of every element; at every node and the end of every element."""
+    cut = problem.elements
     stops = jnp.concatenate([cut.nodes, cut.edges[1:, None]], axis=1)
     nudge = edge_nudge(cut)
 
     def rate(state: State, arc_length: Number) -> State:
         section = guarded_section(problem.manipulator, arc_length)
         kappa = strain_of(section, problem.base_tension, state)
-        moment_rate = moment_rate_of(state.heading, state.force)
+        moment_rate = -planar_cross(axis_of(state.heading), state.force)
         tension = tension_of(section, problem.base_tension, state.pull)
         turning = bending.turning(section, kappa, tension, problem.direction, moment_rate)
         ratio = state.ratio
         direction = problem.direction
-        growth = Pull(ratio_rate(direction, section, turning, ratio), spent_rate(direction, section, ratio))
+        faster = direction * jnp.abs(turning) * ratio_factor(section, ratio)
+        growth = Pull(faster, spent_rate(direction, section, ratio))
         force_rate = jnp.zeros_like(state.force)
         if problem.loads is not None:
             force_rate = -load_rate(problem.manipulator, arc_length, problem.loads)
         return State(growth, kappa, moment_rate, force_rate, None, jnp.abs(turning), axis_of(state.heading))
 
-    def panel(state, inputs):
+    def element(state, inputs):
         joint, drop, start, end, stops = inputs
-        turn, ratio = turn_at_joint(problem, joint, state.pull, state.moment, None, state.force)
+        turn, ratio = (0.0, state.ratio) if joint is None else turn_at_joint(problem, joint, state)
         state = state._replace(pull=state.pull._replace(ratio=ratio), wrap_angle=state.wrap_angle + turn)
         state = state if drop is None else state._replace(force=state.force - drop)
 
-        def inside(state, arc_length):  # stay on this panel's side of its edges
+        def inside(state, arc_length):  # stay on this element's side of its edges
             return rate(state, jnp.clip(arc_length, start + nudge, end - nudge))
 
         def leg(carry, stop):
@@ -120,7 +121,7 @@ def _march(problem: Problem, steps: int) -> tuple[State, tuple[State, State]]:
     base = State(pull, zero, problem.base_moment, force, None, jnp.zeros_like(ones), jnp.zeros_like(force))
     base = jax.tree.map(lambda x: x + zero, base)
     inputs = problem.joints, problem.outboard.drops, cut.edges[:-1], cut.edges[1:], stops
-    return jax.lax.scan(panel, base, inputs)
+    return jax.lax.scan(element, base, inputs)
 
 
 def _runge_kutta(rate, state: State, arc_length: Number, step: Number) -> State:

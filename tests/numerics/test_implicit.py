@@ -8,8 +8,7 @@ import pytest
 from jax.tree_util import Partial
 from numpy.testing import assert_allclose
 
-from cddf_jax.numerics.implicit import implicit, solve_definite, solve_small
-from cddf_jax.numerics.iteration import fixed_point
+from cddf_jax.numerics.fixed_point import fixed_point, implicit, solve_definite, solve_small
 from cddf_jax.numerics.rotations import solve_three
 
 A = np.array([0.5, 2.0, 7.0])

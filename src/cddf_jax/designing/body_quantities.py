@@ -17,7 +17,7 @@ from ..history.history import History
 from ..history.stepped import angles_along
 from ..history.trace import trace
 from ..mechanics.fields import AnyFields, Fields, SpatialFields
-from ..numerics.quadrature import Panels, panels
+from ..numerics.elements import Elements, elements_between, joints
 from ..numerics.rotations import length_of
 from ..quantities import dimension_of
 from ..robot.loads import Loads, loads_in_space
@@ -73,11 +73,11 @@ class BodyView:
         return jnp.asarray(self.arc_length) <= jnp.stack([jnp.asarray(end) for end in ends])[:, None] * (1 + 1e-12)
 
     @cached_property
-    def panels(self) -> Panels:
+    def elements(self) -> Elements:
         """Panels that end where quantities are not smooth: those of the equilibrium, else between the joints."""
         if self.solution is not None:
-            return self.solution.panels
-        return panels(jnp.asarray(self.body.length), self.body.breakpoints, BODY_NODES)
+            return self.solution.elements
+        return elements_between(joints(jnp.asarray(self.body.length), self.body.breakpoints), BODY_NODES)
 
     def moved(self, arc_length: Float[Array | np.ndarray, " points"]) -> "BodyView":
         """The same body at other arc lengths."""
@@ -167,7 +167,7 @@ def _mass(view: BodyView) -> Array:
 
 
 def _integral(view: BodyView, of: Callable[[Array], Array]) -> Array:
-    return jnp.sum(view.panels.gain(of(view.panels.nodes)))
+    return jnp.sum(view.elements.gain(of(view.elements.nodes)))
 
 
 # --- of an equilibrium ---------------------------------------------------------------------------

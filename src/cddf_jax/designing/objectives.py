@@ -96,7 +96,7 @@ class Even(Objective):
 
     def values(self, view: BodyView) -> Array:
         if self.known.along:
-            values, shares = _on_panels(self.known, view)
+            values, shares = _on_elements(self.known, view)
         else:
             values = self.known.of(view)
             shares = jnp.full_like(values, 1.0 / values.size)
@@ -135,7 +135,7 @@ class Near(Objective):
         if known.along and self.at is None:
             if value.ndim:
                 raise InputError(f"design: {name} varies along the body; say where by Near(..., at=...)")
-            found, shares = _on_panels(known, view)
+            found, shares = _on_elements(known, view)
             return jnp.mean(jnp.sum((found - value) ** 2 * shares, axis=-1))
         found = known.of(view if self.at is None else view.moved(jnp.asarray(self.at)))
         if self.at is not None and value.ndim == 2 and value.shape[::-1] == found.shape:
@@ -144,9 +144,9 @@ class Near(Objective):
         return jnp.mean((found - value) ** 2)
 
 
-def _on_panels(known: BodyQuantity, view: BodyView) -> tuple[Float[Array, "*k points"], Float[Array, "*_ points"]]:
-    """A quantity at the Gauss nodes of panels in which it is smooth, and the shares of the nodes in a mean."""
-    nodes, shares = view.panels.nodes.ravel(), view.panels.shares.ravel()
+def _on_elements(known: BodyQuantity, view: BodyView) -> tuple[Float[Array, "*k points"], Float[Array, "*_ points"]]:
+    """A quantity at the Gauss nodes of elements in which it is smooth, and the shares of the nodes in a mean."""
+    nodes, shares = view.elements.nodes.ravel(), view.elements.shares.ravel()
     there = view.moved(nodes)
     if known.to_anchor:
         shares = jnp.where(there.anchored, shares, 0.0)

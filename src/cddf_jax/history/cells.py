@@ -14,9 +14,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ..mechanics import bending
+from ..mechanics.bending import slip_rate
 from ..mechanics.friction import PerTendon, ratio_beyond, tension_rate
-from ..mechanics.problem import Problem, guarded_section, lay_out, moment_rate_of
-from ..mechanics.tendon_displacement import slip_rate
+from ..mechanics.geometry import PLANE, axis_of
+from ..mechanics.problem import Problem, guarded_section, lay_out
+from ..numerics.elements import Elements, joints
 from ..robot.cross_section import CrossSection, planar, where_present
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
@@ -92,7 +94,7 @@ def cut_into_cells(manipulator: Manipulator, count: int, merged: Number | float 
     if problem.joints is not None:
         ends = jax.tree.map(lambda x: x[:-1, 2], sections)
         before = jax.tree.map(lambda x, end: jnp.concatenate([x[:1, 0], end]), sections, ends)
-    return Cells(problem.panels.edges, sections, before, _stretch(manipulator, problem), free)
+    return Cells(problem.elements.edges, sections, before, _stretch(manipulator, problem), free)
 
 
 def forces_along(manipulator: Manipulator, count: int, merged: Number, loads: Loads) -> Float[Array, "P 3 2"]:
@@ -109,11 +111,13 @@ def _laid_out(manipulator: Manipulator, loads: Loads | None, count: int, merged:
     places = jnp.arange(1, count)
     splits = jnp.asarray(manipulator.length) * ((places - merged * (places % 2)) / count)
     still = jnp.zeros(manipulator.num_tendons, splits.dtype)
-    return lay_out(manipulator, still, still, 3, loads, splits)  # the second of three Gauss nodes is the middle
+    ends = joints(jnp.asarray(manipulator.length), jnp.concatenate([manipulator.breakpoints, splits]))
+    cut = Elements.between(ends, 3)  # the second of three Gauss nodes is the middle
+    return lay_out(manipulator, still, still, 3, loads, cut)
 
 
 def _sections(problem: Problem) -> CrossSection:
-    cut = problem.panels
+    cut = problem.elements
     nudge = 1e-9 * cut.width  # a joint has a cross-section on either side
     places = jnp.stack([cut.edges[:-1] + nudge, cut.nodes[:, 1], cut.edges[1:] - nudge], axis=1)
     return planar(jax.vmap(jax.vmap(partial(guarded_section, problem.manipulator)))(places))
@@ -166,7 +170,7 @@ def along_cell(inputs: Inputs, start: Edge, end: Edge, share: PerTendon, stretch
         section = jax.tree.map(lambda x: x[i], sections)
         tension = where_present(section, here.tension)  # beyond the anchor `here` still holds its tension
         kappa = bending.curvature(section, tension, here.moment)
-        moment_rate = moment_rate_of(here.heading, force[i])
+        moment_rate = PLANE.moment_rate(axis_of(here.heading), force[i])
         turning = bending.turning(section, kappa, tension, share, moment_rate)
         loss = tension_rate(share, section, turning, tension)
         return Edge(loss, kappa, -slip_rate(section, kappa, tension, stretch), moment_rate), turning

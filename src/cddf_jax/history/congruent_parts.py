@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ..mechanics import space
-from ..mechanics.problem import at_nodes, curvature_along, guarded_section, strain_along, tension_of
+from ..mechanics.problem import at_nodes, guarded_section, strain_along, tension_of
 from ..numerics.arrays import cos_sin, zero_as
 from ..numerics.rotations import length_of
 from ..robot.cross_section import SpatialSection, planar
@@ -101,7 +101,7 @@ def stored_energy(dense: Dense) -> Number:
 
     In space the first term is the energy of all strains.
     """
-    body, cut, moment = dense.manipulator, dense.panels, dense.nodes.moment
+    body, cut = dense.manipulator, dense.elements
     section = jax.vmap(jax.vmap(lambda s: guarded_section(body, s)))(cut.nodes)
     tension = tension_of(section, dense.base_tension, dense.nodes.pull)
     if isinstance(section, SpatialSection):
@@ -110,7 +110,7 @@ def stored_energy(dense: Dense) -> Number:
         elastic = jnp.sum(section.stiffness * strain**2, axis=-1)
     else:
         length = jnp.sqrt(1.0 + planar(section).offset_slope ** 2)
-        elastic = section.stiffness * curvature_along(section, tension, moment, dense.nodes.strain) ** 2
+        elastic = section.stiffness * strain_along(section, dense.base_tension, dense.nodes) ** 2
     stretch = tension**2 * length * body.tendon_compliance
     return jnp.sum(cut.gain(elastic + jnp.sum(stretch, axis=-1))) / 2
 

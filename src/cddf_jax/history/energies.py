@@ -14,12 +14,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ..mechanics.fixed_point import FixedPoint
+from ..mechanics import bending
 from ..mechanics.friction import PerTendon
-from ..mechanics.problem import State, curvature_along, guarded_section, lay_out, tension_of
-from ..mechanics.sign_changes import num_splits
-from ..mechanics.tendon_displacement import displacement_rate
-from ..numerics.quadrature import Panels, gauss_rule
+from ..mechanics.march import FixedPoint
+from ..mechanics.problem import State, at_nodes, geometry_of, guarded_section, lay_out, tension_of
+from ..numerics.elements import Elements, gauss_rule
 from ..robot.cross_section import AnySection, planar
 from ..robot.manipulator import Manipulator
 from ..statics.solve import solve
@@ -158,7 +157,7 @@ class _Slide(NamedTuple):
     """A tendon that slides one way along a part of the body."""
 
     base_tension: Float[Array, " tendons"]
-    cut: Panels
+    cut: Elements
     starts: State
     nodes: State
 
@@ -169,12 +168,12 @@ class _Slide(NamedTuple):
 
 
 def _slide(part: Manipulator, nodes: int, direction: Number, tension: Number) -> _Slide:
-    if num_splits(part, None) > 0:
+    if geometry_of(part).reverses(part, loaded=False) or part.tendon_drag is not None:
         dense = solve(part, tension, direction=direction, nodes=nodes, throw=False)._dense
-        return _Slide(dense.base_tension, dense.panels, dense.starts, dense.nodes)
+        return _Slide(dense.base_tension, dense.elements, dense.starts, dense.nodes)
     problem = lay_out(part, tension[None], direction[None], nodes)
     found = FixedPoint()(problem)
-    return _Slide(problem.base_tension, problem.panels, found.starts, found.nodes)
+    return _Slide(problem.base_tension, problem.elements, found.starts, found.nodes)
 
 
 def _front_at(
@@ -191,7 +190,7 @@ def _slack_from(body: Manipulator, nodes: int, tension: Number, direction: Numbe
     problem = lay_out(body, tension[None], direction[None], nodes)
     spent = FixedPoint()(problem).nodes.pull.spent
     assert spent is not None
-    return first_zero(problem.panels, (tension - spent)[..., 0])
+    return first_zero(problem.elements, (tension - spent)[..., 0])
 
 
 def _tension_when_passing(
@@ -231,8 +230,9 @@ def _rates(body: Manipulator, nodes: int, direction: Number, tension: Number, ar
 
     def pulled_in_rate(slide: _Slide) -> tuple[Float[Array, "P p"], Float[Array, "P p"]]:
         section, local, moment = jax.vmap(jax.vmap(partial(slide.at, body)))(cut.nodes)
-        kappa = curvature_along(section, local, moment, None)
-        return displacement_rate(body, planar(section), kappa, local)[..., 0], local[..., 0]
+        kappa = at_nodes(bending.curvature, (0, 0, 0))(planar(section), local, moment)
+        slipped = at_nodes(bending.slip_rate, (0, 0, 0, None))
+        return slipped(planar(section), kappa, local, body.tendon_compliance)[..., 0], local[..., 0]
 
     (_, local), (growth, _) = jax.jvp(pulled_in_rate, (slide,), (by_tension,))
     outside = jnp.sum(body.tendon_compliance * body.tendon_free_length)

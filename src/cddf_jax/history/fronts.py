@@ -6,20 +6,21 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, UInt
 
 from ..mechanics import bending, space
-from ..mechanics.fixed_point import FixedPoint
 from ..mechanics.friction import Pull, tension_rate
+from ..mechanics.march import FixedPoint
 from ..mechanics.problem import Problem, guarded_section, lay_out, tension_of
-from ..mechanics.sign_changes import with_ends, zero_before
-from ..numerics.quadrature import Panels
+from ..numerics.arrays import zero_as
+from ..numerics.elements import Elements
 from ..robot.cross_section import SpatialSection, planar, spatial
 from ..robot.manipulator import Manipulator
 from ..statics.solve import solve
 
 Number = Float[Array, ""]
 REFINEMENTS = 3  # by Newton's method
+BRACKETINGS = 5  # by the Illinois rule
 LEAST = 1e-9  # of the body: the least position of a front, for steps as small as rounding errors
 
 
@@ -63,7 +64,7 @@ def front_of(body: Manipulator, nodes: int, motion: Motion, *, refined: bool = T
     (here, pull), (_, other) = (_slide(body, nodes, *end) for end in ends)
     # in T = (T_base - c) / r both r and c are smooth, also beyond the place where a released tendon would lock
     gap = direction * (_left(tension, pull) * other.ratio - _left(turned_at, other) * pull.ratio)
-    front = jnp.clip(first_zero(here.panels, gap[..., 0]), LEAST * length, length)
+    front = jnp.clip(first_zero(here.elements, gap[..., 0]), LEAST * length, length)
     if refined and not is_play_of_inverse(body):  # else r is a polynomial, and the front is exact already
         refine = partial(_nearer, body, nodes, ends)
         found = jax.lax.fori_loop(0, REFINEMENTS, lambda _, front: refine(front), front)
@@ -133,7 +134,7 @@ def _nearer(
 
 def _tension_and_slope(part: Manipulator, nodes: int, tension: Number, direction: Number) -> tuple[Number, Number]:
     """T, N, and T', N/m, at the end of a part of the body."""
-    if part.in_space:  # `solve` ends panels at sharp minima of the turning
+    if part.in_space:  # `solve` knows sharp minima of the turning
         value = solve(part, tension, direction=direction, nodes=nodes, throw=False).tip_tension[0]
         return value, _slope_in_space(part, jnp.asarray(part.length), value, direction)
     problem = lay_out(part, tension[None], direction[None], nodes)
@@ -144,11 +145,38 @@ def _tension_and_slope(part: Manipulator, nodes: int, tension: Number, direction
     return value[0], tension_rate(problem.direction, tip, turning, value)[0]
 
 
-def first_zero(cut: Panels, values: Float[Array, "P p"]) -> Number:
+def first_zero(cut: Elements, values: Float[Array, "P p"]) -> Number:
     """The first arc length, m, where polynomials that are positive at the base fall below zero; the tip if none."""
-    points = with_ends(cut, values[..., None])[..., 0]
+    starts, ends = cut.at_starts_and_ends(values)
+    points = jnp.concatenate([starts[:, None], values, ends[:, None]], axis=1)
     below = (points < 0).ravel()
     first = jnp.argmax(below).astype(jnp.uint32)  # not read from the end
-    panel, within = first // points.shape[1], first % points.shape[1]
-    place = cut.edges[panel] + cut.width[panel] * zero_before(cut, points[panel], within)
+    element, within = first // points.shape[1], first % points.shape[1]
+    place = cut.edges[element] + cut.width[element] * _zero_before(cut, points[element], within)
     return jnp.where(jnp.any(below) & jnp.isfinite(place), place, cut.edges[-1])
+
+
+def _zero_before(cut: Elements, values: Float[Array, " q"], point: UInt[Array, ""]) -> Number:
+    """The zero of the polynomial of one element between a point and the one before, by the Illinois rule, in [0, 1].
+
+    Args:
+        cut: the elements.
+        values: at the start, the nodes and the end of the element.
+        point: the start of the element, which is itself the zero, a node, or the end, counted from 0.
+    """
+    points = jnp.asarray(cut.rule.points, cut.edges.dtype)
+
+    def value(place: Number) -> Number:
+        return cut.lagrange(place) @ values[1:-1]
+
+    def narrow(_, state):
+        (a, b), (fa, fb) = state
+        slope = jnp.where(fb == fa, 1.0, fb - fa)
+        c = jnp.where(fb == fa, (a + b) / 2, jnp.clip(b - fb * (b - a) / slope, jnp.minimum(a, b), jnp.maximum(a, b)))
+        fc = value(c)
+        crossed = fc * fb < 0
+        return jnp.stack([jnp.where(crossed, b, a), c]), jnp.stack([jnp.where(crossed, fb, fa / 2), fc])
+
+    ends = jnp.stack([jnp.maximum(point, 1) - 1, point])
+    bracket = points[ends] + zero_as(values)  # shard_map wants the bracket to vary as the values do
+    return jax.lax.fori_loop(0, BRACKETINGS, narrow, (bracket, values[ends]))[0][1]

@@ -7,10 +7,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from ..mechanics.bending import stretch_rate
 from ..mechanics.fields import Fields, planar_fields
 from ..mechanics.friction import PerTendon, Pull
-from ..mechanics.problem import State, axis_of, guarded_section
-from ..mechanics.tendon_displacement import stretch_rate
+from ..mechanics.geometry import axis_of
+from ..mechanics.problem import State, guarded_section
 from ..numerics.arrays import largest_size
 from ..robot.cross_section import planar, where_present
 from ..robot.loads import Loads

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..mechanics.fields import AnyFields, SpatialFields
-from ..mechanics.problem import State, cut_into_panels
+from ..mechanics.problem import State, elements_of
 from ..numerics.arrays import zero_as
 from ..numerics.rotations import as_matrix
 from ..programs.kept import kept_program
@@ -64,7 +64,7 @@ class CongruentStates(States):
 
     @property
     def arc_length(self) -> Float[Array, " points"]:
-        cut = cut_into_panels(self.manipulator, self.nodes)
+        cut = elements_of(self.manipulator, self.nodes, loaded=False)
         return jnp.concatenate([cut.edges[:1], cut.nodes.ravel(), cut.edges[-1:]])
 
     def fields(self, arc_length: Float[Array, " points"]) -> AnyFields:

@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..mechanics.friction import PerTendon
 from ..numerics.arrays import largest_size, varying_as, zero_as
-from ..numerics.implicit import slope_along, solve_small
+from ..numerics.fixed_point import slope_along, solve_small
 from .cells import Cells, Edge, along_cell, missing_along
 
 Number = Float[Array, ""]

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..numerics.implicit import slope_along
+from ..numerics.fixed_point import slope_along
 from ..robot.cross_section import CrossSection, where_present
 from .friction import PerTendon, bending_loss, drag_loss, tension_rate
 
@@ -210,3 +210,34 @@ def distributed_forces(
         normal=in_fixed_frame(tension * along_rate, tension * across_rate),
         friction=in_fixed_frame(loss_rate * t.along, loss_rate * t.across),
     )
+
+
+# --- how far a tendon slides ----------------------------------------------------------------------
+
+
+def slip_rate(section: CrossSection, curvature: Number, tension: PerTendon, compliance: PerTendon) -> PerTendon:
+    """By how much a tendon's path shortens and the tendon stretches per arc length, at one cross-section.
+
+    The path shortens by sqrt(1 + d'^2) - |u_c'|; the tendon stretches by T sqrt(1 + d'^2) / (E A).
+
+    Args:
+        section: the cross-section.
+        curvature: kappa, 1/m.
+        tension: T, N.
+        compliance: 1 / (E A), 1/N.
+    """
+    # q = 1 - sigma d kappa; sqrt(1 + d'^2) - sqrt(q^2 + d'^2) without cancellation
+    bend, slope = section.side * section.offset * curvature, section.offset_slope
+    straight = jnp.sqrt(1.0 + slope**2)
+    rate = bend * (2.0 - bend) / (straight + jnp.sqrt((1.0 - bend) ** 2 + slope**2))
+    return where_present(section, rate) + stretch_rate(compliance, tension * straight)
+
+
+def stretch_rate(compliance: PerTendon, tension: Array, section: CrossSection | None = None) -> Array:
+    """By how much a tendon stretches per length.
+
+    It is T / (E A) per length outside the body, and T sqrt(1 + d'^2) / (E A) per arc length within it. Half of this
+    times T is the elastic energy of the tendon per length.
+    """
+    along = tension if section is None else tension * jnp.sqrt(1.0 + section.offset_slope**2)
+    return along * compliance

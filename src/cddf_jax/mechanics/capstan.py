@@ -9,8 +9,8 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 
+from ..numerics.elements import Elements, elements_between, gauss_rule, joints
 from ..numerics.given_numbers import check_numbers
-from ..numerics.quadrature import Panels, panels
 from ..robot.manipulator import Manipulator
 from ..robot.profiles import Constant, Linear, Profile
 
@@ -50,7 +50,7 @@ def closed_form_tension(
         raise ValueError(f"closed_form_tension: a tendon cannot push, got base_tension {base_tension}")
     s = jnp.asarray(arc_length, float)
     length = jnp.asarray(manipulator.length, s.dtype)
-    whole = panels(length, jnp.asarray(manipulator.breakpoints, s.dtype), nodes)
+    whole = elements_between(joints(length, manipulator.breakpoints), nodes)
     reach = s if tendon.end is None else jnp.minimum(s, tendon.end)
     compliance = _integral_up_to(whole, lambda x: manipulator.offset(x)[0] / manipulator.stiffness(x), reach)
     ratio = 1.0 + manipulator.tendon_friction[0] * base_tension * compliance
@@ -64,12 +64,13 @@ def _surely_constant(offset: Profile) -> bool:
     return isinstance(offset, Constant)
 
 
-def _integral_up_to(whole: Panels, function: Profile, arc_length: Float[Array, "*points"]) -> Float[Array, "*points"]:
-    """The integral of `function` from 0 to each arc length, by the Gauss rule on the covered part of each panel."""
+def _integral_up_to(whole: Elements, function: Profile, arc_length: Float[Array, "*points"]) -> Float[Array, "*points"]:
+    """The integral of `function` from 0 to each arc length, by the Gauss rule on the covered part of each element."""
     starts = whole.edges[:-1]
     covered = jnp.clip(arc_length[..., None] - starts, 0.0, whole.width)
-    at = starts[:, None] + covered[..., None] * whole.constant("nodes")
-    return jnp.sum(covered * (function(at) @ whole.constant("weights")), axis=-1)
+    rule = gauss_rule(whole.order)
+    at = starts[:, None] + covered[..., None] * jnp.asarray(rule.nodes, starts.dtype)
+    return jnp.sum(covered * (function(at) @ jnp.asarray(rule.weights, starts.dtype)), axis=-1)
 
 
 def pulling_tension(weight: ArrayLike, friction_coefficient: ArrayLike, wrap_angle: ArrayLike) -> Float[Array, "*rows"]:

@@ -128,10 +128,7 @@ def find_directions(
         ended = found & ((count == 0) | sticks) | (num_tried >= NUM_FLIPS + listed)
         return _DirectionSearch(following, best, jnp.minimum(count, search.fewest), against, num_tried, ended)
 
-    if manipulator.in_space:
-        arm = manipulator.arms(jnp.zeros_like(length))
-    else:
-        arm = jnp.stack([t.side * t.offset(jnp.zeros_like(length)) for t in manipulator.tendons])[:, None]
+    arm = manipulator.arms(jnp.zeros_like(length))
     turned, least = arm @ (base_tension @ arm), jnp.sum(arm**2 * base_tension[:, None]) * LEAST_TRAVEL
     first = stated.at[which].set(jnp.where(turned < -least, -one, one)[which])
     start = _DirectionSearch(first, blank, zero + jnp.inf, 0 * first[which], zero, zero > 0)

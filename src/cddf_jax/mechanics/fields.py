@@ -14,7 +14,8 @@ from ..robot.cross_section import CrossSection, SpatialSection, planar
 from ..robot.manipulator import Manipulator
 from . import bending, space
 from .friction import PerTendon, tension_rate
-from .problem import State, guarded_section, moment_rate_of, strain_of, tension_of
+from .geometry import PLANE
+from .problem import State, guarded_section, strain_of, tension_of
 
 
 class Fields(eqx.Module):
@@ -97,7 +98,9 @@ def planar_fields(
     """The fields at one cross-section in the plane, tendons last."""
     tension = tension_of(section, base_tension, state.pull)
     kappa = bending.curvature(section, tension, state.moment, state.strain)
-    rate = bending.rates(section, kappa, tension, direction, moment_rate_of(state.heading, state.force))
+    rate = bending.rates(
+        section, kappa, tension, direction, PLANE.moment_rate(PLANE.axis(state.heading, kappa), state.force)
+    )
     forces = bending.distributed_forces(section, state.heading, kappa, tension, direction, rate)
     return Fields(
         arc_length, kappa, state.heading, state.position, tension, state.wrap_angle, forces.normal, forces.friction

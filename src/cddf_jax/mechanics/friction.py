@@ -47,9 +47,9 @@ def tension_rate(direction: PerTendon, section: AnySection, turning: PerTendon, 
     return by_bending if by_drag is None else by_bending - by_drag
 
 
-def ratio_rate(direction: PerTendon, section: AnySection, turning: PerTendon, ratio: PerTendon) -> PerTendon:
-    """The rate r' = direction mu |psi'| |r|, 1/m; r is negative only beyond the point where a tendon locks."""
-    return direction * section.friction_coefficient * jnp.abs(turning) * jnp.abs(ratio)
+def ratio_factor(section: AnySection, ratio: PerTendon) -> PerTendon:
+    """The factor of direction |psi'| in r' = direction mu |psi'| |r|; r < 0 only beyond where a tendon locks."""
+    return section.friction_coefficient * jnp.abs(ratio)
 
 
 def is_proportional(section: AnySection) -> bool:

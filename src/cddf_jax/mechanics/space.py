@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..numerics.implicit import slope_along, solve_definite
+from ..numerics.fixed_point import slope_along, solve_definite
 from ..numerics.rotations import Quaternion, Vector, cross, first_axis, in_fixed_frame, length_of
 from ..robot.cross_section import SpatialSection, where_present
 from .friction import PerTendon, tension_rate
@@ -82,17 +82,6 @@ def turn_vectors(strain: Strain, tangent: Vectors, tangent_rate: Vectors) -> Vec
     """The derivative of each tangent along s, 1/m: t' + u x t, in components of the frame of the cross-section."""
     u = jnp.broadcast_to(curvature_of_strain(strain), tangent.shape)
     return tangent_rate + cross(u, tangent)
-
-
-def turning_in_space(section: SpatialSection, strain: Strain, tangent: Vectors, tangent_rate: Vectors) -> PerTendon:
-    """The angle by which each tendon turns per arc length, rad/m; zero beyond its anchor."""
-    return where_present(section, length_of(turn_vectors(strain, tangent, tangent_rate)))
-
-
-def turning_along_axis(section: SpatialSection, strain: Strain) -> PerTendon:
-    """The same for tendons parallel to the axis of a body without loads, which does not twist: |u|."""
-    bend = length_of(curvature_of_strain(strain))
-    return where_present(section, jnp.broadcast_to(bend, section.offset.shape))
 
 
 def turn_between(one: Vectors, other: Vectors) -> PerTendon:

@@ -1,1 +1,1 @@
-"""Numerics without mechanics: arrays, implicit derivatives, the fixed-point iteration, quadrature on panels."""
+"""Numerics without mechanics: arrays, elements with Gauss nodes, the fixed point with implicit derivatives."""

@@ -1,6 +1,6 @@
 """Rotations in space as quaternions (w, x, y, z), which need not have the length 1.
 
-Integration by Gauss nodes keeps the length of a quaternion from one end of a panel to the other. At the nodes
+Integration by Gauss nodes keeps the length of a quaternion from one end of an element to the other. At the nodes
 themselves the length has the error of the quadrature; every function here divides by it.
 """
 
@@ -132,17 +132,18 @@ def _cross(a: list[Array], b: list[Array]) -> list[Array]:
 def length_of(vector: Float[Array, "*points n"]) -> Float[Array, "*points"]:
     """The length of a vector, with the derivative zero where it is zero."""
     parts = parts_of(vector)
-    return _root(_dot(parts, parts)[..., 0])
+    return square_root(_dot(parts, parts)[..., 0])
 
 
 @jax.custom_jvp
-def _root(square: Array) -> Array:
+def square_root(square: Array) -> Array:
+    """The square root, with the derivative zero where it is zero."""
     return jnp.sqrt(square)
 
 
-@_root.defjvp
+@square_root.defjvp
 def _(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
-    root = _root(*primals)
+    root = square_root(*primals)
     positive = root > 0
     return root, jnp.where(positive, 0.5 * tangents[0] / jnp.where(positive, root, 1.0), 0.0)
 

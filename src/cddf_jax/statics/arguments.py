@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, PyTree
 
 from ..errors import InputError
 from ..mechanics.directions import Directions, not_stated, stated_directions
-from ..mechanics.fixed_point import FixedPoint
+from ..mechanics.march import FixedPoint
 from ..mechanics.problem import Method, Problem
 from ..numerics.given_numbers import check_numbers
 from ..quantities import check_range_in_space
@@ -231,11 +231,11 @@ def is_physical(
     manipulator: Manipulator, base_tension: PerTendon, direction: PerTendon, problem: Problem
 ) -> Bool[Array, ""]:
     """Whether the numbers, as they were before `harmless`, have a physical meaning."""
-    stiffness = jax.vmap(jax.vmap(problem.manipulator.stiffness))(problem.panels.nodes)
+    stiffness = jax.vmap(jax.vmap(problem.manipulator.stiffness))(problem.elements.nodes)
     sections = (stiffness[..., None] > 0) & (where_present(problem.nodes, problem.nodes.offset) >= 0)
     return (
         jnp.all(sections)  # as one: XLA takes seconds to fold the offsets of a large batch if they are constants
-        & (problem.panels.edges[-1] > 0)
+        & (problem.elements.edges[-1] > 0)
         & jnp.all(manipulator.tendon_friction >= 0)
         & (True if manipulator.tendon_drag is None else jnp.all(manipulator.tendon_drag >= 0))
         & _has_physical_masses(manipulator, problem)
@@ -247,10 +247,10 @@ def is_physical(
 
 
 def _has_physical_masses(manipulator: Manipulator, problem: Problem) -> Bool[Array, ""]:
-    density, length = jnp.asarray(manipulator.density), problem.panels.edges[-1]
+    density, length = jnp.asarray(manipulator.density), problem.elements.edges[-1]
     good = density >= 0 if manipulator.has_radii else density == 0
     if problem.manipulator.mass_per_length is not None:
-        good = good & jnp.all(problem.manipulator.mass_per_length(problem.panels.nodes) >= 0)
+        good = good & jnp.all(problem.manipulator.mass_per_length(problem.elements.nodes) >= 0)
     for point in manipulator.point_masses:
         good = good & (point.mass >= 0) & (point.arc_length > 0) & (point.arc_length <= length)
     return good
@@ -259,7 +259,7 @@ def _has_physical_masses(manipulator: Manipulator, problem: Problem) -> Bool[Arr
 def are_possible(targets: Targets, problem: Problem) -> Bool[Array, ""]:
     """Whether arc lengths of targets lie between base and tip, and limits of tensions are in order."""
     places = [jnp.asarray(target.arc_length) for target in targets if isinstance(target, CurvatureAt)]
-    length = problem.panels.edges[-1]
+    length = problem.elements.edges[-1]
     good = [(place >= 0) & (place <= length) for place in places]
     for target in targets:
         if isinstance(target, TipPosition):

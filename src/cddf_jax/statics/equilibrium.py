@@ -14,8 +14,8 @@ from ..mechanics.fields import AnyFields, fields_at, tendons_first
 from ..mechanics.problem import State, edge_nudge, guarded_section, strain_of
 from ..mechanics.space import path_rate
 from ..numerics.arrays import words_or_shapes
+from ..numerics.elements import Elements
 from ..numerics.given_numbers import check_numbers
-from ..numerics.quadrature import Panels
 from ..numerics.rotations import length_of
 from ..programs.kept import kept_program
 from ..robot.cross_section import SpatialSection, spatial
@@ -24,7 +24,7 @@ from ..robot.profiles import Number
 
 PerTendon = Float[Array, " tendons"]
 Tree = TypeVar("Tree")
-FRACTIONS = np.linspace(0.0, 1.0, 129)  # of every panel, at which the strain of the wall is computed
+FRACTIONS = np.linspace(0.0, 1.0, 129)  # of every element, at which the strain of the wall is computed
 
 
 class RESULTS(eqx.Enumeration):
@@ -157,7 +157,7 @@ class Equilibrium(eqx.Module):
     # True where a tendon travels against its direction: since the straight body, or under loads as all tensions rise
     direction_contradicted: Bool[Array, " tendons"]
     error_estimate: Float[Array, ""]  # of tip tension (relative), tip position (per length), tip angle (rad)
-    num_iterations: Int[Array, ""]  # passes since the panels of the solve were moved last
+    num_iterations: Int[Array, ""]  # iterations of the last step
     result: RESULTS  # how the solve ended
     _dense: "Dense"
 
@@ -236,9 +236,9 @@ class Equilibrium(eqx.Module):
         return words_or_shapes(equilibrium_in_words, self)
 
     @property
-    def panels(self) -> Panels:
-        """The panels of the solve: they end where the body is not smooth and where the curvature changes its sign."""
-        return self._dense.panels
+    def elements(self) -> Elements:
+        """The elements of the solve, which end where the body is not smooth."""
+        return self._dense.elements
 
     def at(self, arc_length: ArrayLike) -> AnyFields:
         """The same fields anywhere along the body.
@@ -259,25 +259,25 @@ class Dense(eqx.Module):
     manipulator: Manipulator
     base_tension: PerTendon
     direction: PerTendon
-    edges: Float[Array, " edges"]  # of the panels, m
-    order: int = eqx.field(static=True)  # nodes in each panel
+    edges: Float[Array, " edges"]  # of the elements, m
+    order: int = eqx.field(static=True)  # nodes in each element
     starts: State
     nodes: State
     solved: Bool[Array, ""]
 
     @property
-    def panels(self) -> Panels:
-        """The panels of the solve."""
-        return Panels.between(self.edges, self.order)
+    def elements(self) -> Elements:
+        """The elements of the solve."""
+        return Elements.between(self.edges, self.order)
 
     def state(self, arc_length: Float[Array, ""]) -> State:
         """The integrated state at one arc length."""
-        return self.panels.interpolate(self.starts, self.nodes, arc_length)
+        return self.elements.interpolate(self.starts, self.nodes, arc_length)
 
     def __call__(self, arc_length: Float[Array, ""]) -> AnyFields:
         """The fields at one arc length, tendons last."""
         fields = fields_at(self.manipulator, self.base_tension, self.direction, arc_length, self.state)
-        inside = (arc_length >= 0) & (arc_length <= self.panels.edges[-1])
+        inside = (arc_length >= 0) & (arc_length <= self.elements.edges[-1])
         return nan_unless(self.solved & inside, fields)
 
     def shortened(self, arc_length: Float[ArrayLike, " points"]) -> Float[Array, "tendons points"]:
@@ -293,7 +293,7 @@ class Dense(eqx.Module):
         """The largest |R_outer kappa|, and its arc length, m."""
         if self.manipulator.outer_radius is None:
             raise InputError("peak_strain: the body has no outer_radius; give it both radii, or leave the strain out")
-        cut, nudge = self.panels, edge_nudge(self.panels)
+        cut, nudge = self.elements, edge_nudge(self.elements)
         left, right = cut.edges[:-1, None], cut.edges[1:, None]
         places = left + cut.width[:, None] * FRACTIONS
         within = jnp.clip(places, left + nudge, right - nudge)  # at a joint each side has its own radius

@@ -11,22 +11,21 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from ..mechanics import bending
 from ..mechanics.directions import Directions, not_stated
-from ..mechanics.fixed_point import integrate_shape
 from ..mechanics.friction import Pull
+from ..mechanics.geometry import axis_of
 from ..mechanics.problem import (
     Nodal,
     Number,
     Problem,
     Solution,
     State,
-    curvature_along,
     lay_out,
     starts_of_newton,
+    strain_along,
     tension_of,
 )
-from ..numerics.implicit import without_derivative
-from ..numerics.iteration import fixed_point
-from ..numerics.quadrature import Panels
+from ..numerics.elements import Elements
+from ..numerics.fixed_point import fixed_point, without_derivative
 from ..robot.cross_section import planar, where_present
 from ..robot.manipulator import Manipulator
 from .arguments import check_nodes, one_precision, per_tendon
@@ -48,19 +47,19 @@ class LiteralIteration(eqx.Module):
 
     tip_tolerance: float = eqx.field(default=1e-4, static=True)
     max_updates: int = eqx.field(default=100, static=True)
-    max_passes: ClassVar[int] = 64
+    max_iterations: ClassVar[int] = 64
 
-    def __call__(self, problem: Problem) -> Solution[State]:
+    def __call__(self, problem: Problem) -> Solution:
         if problem.loads is not None:
             raise ValueError("LiteralIteration is the paper's algorithm and has no loads; use FixedPoint")
         _refuse_drag(problem.manipulator)
-        cut = problem.panels
+        cut = problem.elements
 
         answer = fixed_point(
             Partial(literal_update, problem),
             frictionless_curvature(problem),
             tolerance=self.tip_tolerance,
-            max_passes=self.max_updates,
+            max_iterations=self.max_updates,
             size=Partial(_tip_motion, without_derivative(cut)),
         )
         gain = problem.direction * problem.manipulator.tendon_friction
@@ -74,7 +73,7 @@ class LiteralIteration(eqx.Module):
             starts=jax.tree.map(lambda x: x[:-1], edges)._replace(strain=at_starts),
             nodes=State(pull, heading, still, outboard, at_nodes, wrap, position),
             tip=jax.tree.map(lambda x: x[-1], edges)._replace(strain=at_tip),
-            num_iterations=answer.num_passes,
+            num_iterations=answer.num_iterations,
             residual=answer.change / cut.edges[-1],
             converged=answer.converged,
             locked=jnp.zeros_like(answer.converged),
@@ -82,10 +81,16 @@ class LiteralIteration(eqx.Module):
 
     def improve(
         self, problem: Problem, guess: Nodal, strain: Array | None = None, before: Number | float = 0.0
-    ) -> Solution[State]:
+    ) -> Solution:
         return self(problem)
 
     finish = improve
+
+
+def integrate_shape(cut: Elements, curvature: Float[Array, "P p"]) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """Heading and position, each at the P + 1 edges and at the nodes."""
+    heading = cut.integrate(curvature)
+    return heading, cut.integrate(axis_of(heading[1]))
 
 
 def _refuse_drag(manipulator: Manipulator) -> None:
@@ -93,11 +98,11 @@ def _refuse_drag(manipulator: Manipulator) -> None:
         raise ValueError("LiteralIteration is the paper's algorithm and has no drag; use FixedPoint, or drag=None")
 
 
-def _tip(cut: Panels, curvature: Float[Array, "P p"]) -> Float[Array, "2"]:
+def _tip(cut: Elements, curvature: Float[Array, "P p"]) -> Float[Array, "2"]:
     return integrate_shape(cut, curvature)[1][0][-1]
 
 
-def _tip_motion(cut: Panels, change: Float[Array, "P p"], curvature: Float[Array, "P p"]) -> Float[Array, ""]:
+def _tip_motion(cut: Elements, change: Float[Array, "P p"], curvature: Float[Array, "P p"]) -> Float[Array, ""]:
     """How far the last change moved the tip, m: e_tip of eq. (18)."""
     moved = _tip(cut, curvature) - _tip(cut, curvature - change)
     return jnp.sqrt(jnp.sum(moved**2))
@@ -106,7 +111,9 @@ def _tip_motion(cut: Panels, change: Float[Array, "P p"], curvature: Float[Array
 def frictionless_curvature(problem: Problem) -> Float[Array, "P p"]:
     """The shape with T = T_base everywhere, where the paper starts. Liu et al. (2020), eq. (17)."""
     tension = tension_of(problem.nodes, problem.base_tension, Pull(jnp.ones_like(problem.nodes.offset)))
-    return curvature_along(problem.nodes, tension, jnp.zeros_like(problem.panels.nodes), None)
+    none = jnp.zeros_like(problem.elements.nodes)
+    state = State(Pull(jnp.ones_like(tension)), none, none, None, None)
+    return strain_along(problem.nodes, problem.base_tension, state)
 
 
 def literal_wrap_angle(problem: Problem, curvature: Float[Array, "P p"]) -> tuple[Array, Array]:
@@ -117,8 +124,8 @@ def literal_wrap_angle(problem: Problem, curvature: Float[Array, "P p"]) -> tupl
             "use FixedPoint"
         )
     t = jax.vmap(jax.vmap(bending.tangent))(planar(problem.nodes), curvature)
-    turning = t.turning + t.turning_slope * problem.panels.differentiate(curvature)[..., None]
-    return problem.panels.integrate(where_present(problem.nodes, jnp.abs(turning)))
+    turning = t.turning + t.turning_slope * problem.elements.differentiate(curvature)[..., None]
+    return problem.elements.integrate(where_present(problem.nodes, jnp.abs(turning)))
 
 
 def literal_update(problem: Problem, curvature: Float[Array, "P p"]) -> Float[Array, "P p"]:
@@ -171,7 +178,7 @@ def iteration_history(
         given = given[0], solve(manipulator, given[0], direction=given[1], nodes=nodes).direction
     manipulator, base_tension, direction, _ = one_precision(manipulator, *given)
     problem = lay_out(manipulator, base_tension, direction, nodes)
-    cut = problem.panels
+    cut = problem.elements
     start = frictionless_curvature(problem)
 
     def update(curvature, _):

@@ -13,23 +13,23 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PyTree
 
 from ..errors import InputError
+from ..mechanics.bending import slip_rate, stretch_rate, turning
 from ..mechanics.directions import Directions
-from ..mechanics.fixed_point import FixedPoint
 from ..mechanics.friction import PerTendon, tension_rate, unspent
+from ..mechanics.geometry import PLANE, axis_of
+from ..mechanics.march import FixedPoint
 from ..mechanics.problem import (
     Method,
     Number,
     Problem,
     Solution,
-    State,
-    curvature_along,
+    at_nodes,
     load_rate,
-    moment_rate_of,
+    strain_along,
     tension_of,
-    turning_along,
 )
-from ..mechanics.tendon_displacement import displacement_rate, stretch_rate, tendon_displacement
-from ..numerics.quadrature import gauss_rule
+from ..mechanics.tendon_displacement import tendon_displacement
+from ..numerics.elements import gauss_rule
 from ..programs.kept import kept_program
 from ..robot.cross_section import planar
 from ..robot.loads import Loads, loads_in_space
@@ -37,9 +37,9 @@ from ..robot.manipulator import Manipulator
 from ..robot.profiles import as_number
 from ..robot.validation import check_weight
 from .arguments import one_precision
+from .balance import equilibrate
 from .equilibrium import RESULTS, Equilibrium, nan_unless
-from .equilibrium_derivatives import equilibrate
-from .equilibrium_search import Setup
+from .settle import Setup
 from .solve import solve
 from .targets import Actuation
 
@@ -207,15 +207,17 @@ def _energy_balance(setup: Setup, base_tension: PerTendon, result: RESULTS, num_
     return eqx.combine(nan_unless(jnp.all(stages.converged), numbers), code)
 
 
+slip_along = at_nodes(slip_rate, (0, 0, 0, None))
+turning_along = at_nodes(turning, (0, 0, 0, None, 0))
+
+
 class _Stage(NamedTuple):
     """One equilibrium during the pull."""
 
     displacement: PerTendon
     elastic_energy: Number
     load_energy: Number  # potential of the dead loads
-    arc_length: Float[Array, "P p"]  # of the nodes, which move with the sign changes
     slide: Float[Array, "P p tendons"]  # of the tendon towards the base, at each cross-section, m
-    reel: Float[Array, "P p tendons"]  # -slide', the rate at which slide grows towards the base
     slide_at_starts: Float[Array, "P tendons"]
     friction: Float[Array, "P p tendons"]  # -T', N/m
     drop: Float[Array, "P tendons"]  # of the tension where a tendon turns by a finite angle, N
@@ -225,13 +227,12 @@ class _Stage(NamedTuple):
 
 def _stage(setup: Setup, base_tension: PerTendon) -> _Stage:
     there = equilibrate(setup, base_tension)
-    problem, solution, cut = there.problem, there.solution, there.problem.panels
+    problem, solution, cut = there.problem, there.solution, there.problem.elements
     section = planar(problem.nodes)
     tension = tension_of(section, base_tension, solution.nodes.pull)
-    kappa = curvature_along(section, tension, solution.nodes.moment, solution.nodes.strain)
-    reel = displacement_rate(problem.manipulator, section, kappa, tension)
-    edges, inner = cut.integrate(reel)
-    moment_rate = moment_rate_of(solution.nodes.heading, solution.nodes.force)
+    kappa = strain_along(section, base_tension, solution.nodes)
+    edges, inner = cut.integrate(slip_along(section, kappa, tension, problem.manipulator.tendon_compliance))
+    moment_rate = PLANE.moment_rate(axis_of(solution.nodes.heading), solution.nodes.force)
     turning = turning_along(section, kappa, tension, problem.direction, moment_rate)
     friction = -tension_rate(problem.direction, section, turning, tension)
     starts = unspent(base_tension, solution.starts.pull) / solution.starts.ratio
@@ -243,9 +244,7 @@ def _stage(setup: Setup, base_tension: PerTendon) -> _Stage:
         displacement=tendon_displacement(problem, solution.nodes),
         elastic_energy=jnp.sum(cut.gain(section.stiffness * kappa**2 + stretching)) / 2 + outside / 2,
         load_energy=_load_energy(problem, solution),
-        arc_length=cut.nodes,
         slide=edges[-1] - inner,
-        reel=reel,
         slide_at_starts=edges[-1] - edges[:-1],
         friction=friction,
         drop=arriving - starts,
@@ -254,13 +253,13 @@ def _stage(setup: Setup, base_tension: PerTendon) -> _Stage:
     )
 
 
-def _load_energy(problem: Problem, solution: Solution[State]) -> Number:
+def _load_energy(problem: Problem, solution: Solution) -> Number:
     loads = problem.loads
     if loads is None:
         return jnp.zeros_like(solution.tip.heading)
-    rate = load_rate(problem.manipulator, problem.panels.nodes, loads)
+    rate = load_rate(problem.manipulator, problem.elements.nodes, loads)
     at_starts, at_nodes, at_tip = (state.position for state in (solution.starts, solution.nodes, solution.tip))
-    lifted = jnp.sum(problem.panels.gain(jnp.sum(rate * at_nodes, axis=-1)))
+    lifted = jnp.sum(problem.elements.gain(jnp.sum(rate * at_nodes, axis=-1)))
     if problem.outboard.drops is not None:
         lifted = lifted + jnp.sum(problem.outboard.drops * at_starts)
     return -(jnp.asarray(loads.tip_force) @ at_tip + loads.tip_moment * solution.tip.heading + lifted)
@@ -269,6 +268,5 @@ def _load_energy(problem: Problem, solution: Solution[State]) -> Number:
 def _dissipation(stage: _Stage, rate: _Stage) -> PerTendon:
     """Friction force times sliding, per unit of the pull, J."""
     weights = jnp.asarray(gauss_rule(stage.friction.shape[1]).weights, stage.friction.dtype)
-    sliding = rate.slide + stage.reel * rate.arc_length[..., None]  # at a fixed arc length
-    along = jax.vmap(lambda w, f: w * (weights @ f))(stage.width, stage.friction * sliding)
+    along = jax.vmap(lambda w, f: w * (weights @ f))(stage.width, stage.friction * rate.slide)
     return jnp.sum(along + stage.drop * rate.slide_at_starts, axis=0)

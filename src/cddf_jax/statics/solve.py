@@ -12,14 +12,12 @@ from jaxtyping import Array, Float
 from ..errors import SolveError
 from ..mechanics.directions import Directions, is_contradicted, not_stated
 from ..mechanics.fields import AnyFields, fields_at, planar_fields, tendons_first
-from ..mechanics.fixed_point import FixedPoint
 from ..mechanics.friction import unspent
-from ..mechanics.problem import Method, Problem, Solution, State, guarded_section, line_up
+from ..mechanics.march import FixedPoint
+from ..mechanics.problem import Method, Problem, Solution, all_points, line_up
 from ..mechanics.tendon_displacement import tendon_displacement
 from ..mechanics.truncation_error import ACCURACY, truncation_error
 from ..numerics.arrays import zero_as
-from ..numerics.quadrature import panels
-from ..numerics.rotations import as_matrix, tilt
 from ..programs.kept import kept_program
 from ..robot.cross_section import planar
 from ..robot.loads import Loads, loads_in_space
@@ -40,6 +38,7 @@ from .arguments import (
     refuse_batch,
     split_actuation,
 )
+from .balance import Balance, equilibrate, inside_of_bend
 from .equilibrium import (
     RESULTS,
     Dense,
@@ -48,9 +47,8 @@ from .equilibrium import (
     first_of,
     nan_unless,
 )
-from .equilibrium_derivatives import Balance, equilibrate, inside_of_bend
-from .equilibrium_search import Setup
 from .equilibrium_text import result_in_words
+from .settle import Setup
 from .targets import Actuation, Displacement, TipAngle, TipStiffness
 from .tension_search import Found, Targets, reach
 
@@ -178,30 +176,31 @@ def _solve(
     setup = Setup(manipulator, direction, loads, method, nodes, to_find)
     balance, found = _equilibrium(setup, given, targets)
     problem, solution = balance.problem, balance.solution
+    geometry = problem.geometry
 
     physical = finite & is_physical(asked[0], asked[1], asked[2], problem) & are_possible(targets, problem)
     solved = physical & balance.load_path.converged
     at_tip = unspent(problem.base_tension, solution.tip.pull) / solution.tip.ratio
-    contradicted = solved & is_contradicted(problem.direction, balance.travel, problem.panels.edges[-1])
-    truncation = balance.leverage * truncation_error(problem, solution)
+    contradicted = solved & is_contradicted(problem.direction, balance.travel, problem.elements.edges[-1])
+    truncation = balance.error_amplification * truncation_error(problem, solution, method)
     crossing = jnp.any(inside_of_bend(problem, solution) >= 1.0)
     round_off = 4 * float(jnp.finfo(truncation.dtype).eps)
     dense = Dense(
         manipulator,
         problem.base_tension,
         problem.direction,
-        problem.panels.edges,
-        problem.panels.order,
+        problem.elements.edges,
+        problem.elements.order,
         solution.starts,
         solution.nodes,
         solved,
     )
 
     return Equilibrium(
-        along=nan_unless(solved, _along(setup, balance, dense)),
+        along=nan_unless(solved, _along(problem, solution, dense)),
         tip_position=nan_unless(solved, solution.tip.position),
-        tip_angle=nan_unless(solved, tilt(solution.tip.heading) if problem.in_space else solution.tip.heading),
-        tip_frame=nan_unless(solved, as_matrix(solution.tip.heading)) if problem.in_space else None,
+        tip_angle=nan_unless(solved, geometry.tip_angle(solution.tip.heading)),
+        tip_frame=nan_unless(solved, geometry.tip_frame(solution.tip.heading)),
         tip_tension=nan_unless(solved, at_tip),
         tension_loss=nan_unless(solved, 1.0 - _fraction_left(problem, solution) / solution.tip.ratio),
         tendon_displacement=nan_unless(solved, tendon_displacement(problem, solution.nodes)),
@@ -214,7 +213,7 @@ def _solve(
         stable=solved & balance.load_path.stable,
         direction=problem.direction,
         direction_contradicted=contradicted,
-        error_estimate=nan_unless(solved, truncation + balance.leverage * (solution.residual + round_off)),
+        error_estimate=nan_unless(solved, truncation + balance.error_amplification * (solution.residual + round_off)),
         num_iterations=solution.num_iterations.astype(int),
         result=first_of(
             (~physical, RESULTS.unphysical),
@@ -233,7 +232,7 @@ def _solve(
     )
 
 
-def _fraction_left(problem: Problem, solution: Solution[State]) -> PerTendon | float:
+def _fraction_left(problem: Problem, solution: Solution) -> PerTendon | float:
     """The part of the base tension that drag leaves, as a fraction; 1 where there is no base tension."""
     if problem.nodes.drag is None:
         return 1.0
@@ -252,26 +251,15 @@ def _equilibrium(setup: Setup, given: PerTendon, targets: Targets) -> tuple[Bala
 # --- fields along the body -----------------------------------------------------------------------
 
 
-def _along(setup: Setup, balance: Balance, dense: Dense) -> AnyFields:
-    """The fields at the base, the Gauss nodes of the smooth pieces of the body, and the tip."""
-    problem, solution, body = balance.problem, balance.solution, setup.manipulator
-
-    first = jax.tree.map(lambda x: x[0], solution.starts)
-    cut, nodes = problem.panels, solution.nodes
-    pieces = panels(cut.edges[-1], body.breakpoints, setup.nodes)
-    if problem.in_space:  # whose forces need derivatives along the polynomials
-        arc_length = line_up(pieces.edges[0], pieces.nodes, pieces.edges[-1])
-        return tendons_first(jax.vmap(partial(_fields_within, dense))(arc_length), 1)
-    sections = planar(problem.points)
-    if pieces.edges.shape != cut.edges.shape:  # panels that end at sign changes are not shown
-        cut = pieces
-        nodes = jax.vmap(jax.vmap(dense.state))(cut.nodes)
-        inside = jax.vmap(jax.vmap(lambda s: guarded_section(body, s)))(cut.nodes)
-        sections = planar(jax.tree.map(line_up, problem.base, inside, problem.tip))
+def _along(problem: Problem, solution: Solution, dense: Dense) -> AnyFields:
+    """The fields at the base, the Gauss nodes and the tip."""
+    cut = problem.elements
     arc_length = line_up(cut.edges[0], cut.nodes, cut.edges[-1])
-    states = jax.tree.map(line_up, first, nodes, solution.tip)
+    if problem.geometry.has_frames:  # whose forces need derivatives along the polynomials
+        return tendons_first(jax.vmap(partial(_fields_within, dense))(arc_length), 1)
+    sections, states = all_points(problem, solution)
     fields = jax.vmap(planar_fields, (0, None, None, 0, 0))
-    return tendons_first(fields(sections, problem.base_tension, problem.direction, arc_length, states), 1)
+    return tendons_first(fields(planar(sections), problem.base_tension, problem.direction, arc_length, states), 1)
 
 
 def _fields_within(dense: Dense, arc_length: Float[Array, ""]) -> AnyFields:

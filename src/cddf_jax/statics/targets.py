@@ -10,23 +10,21 @@ from jaxtyping import Array, ArrayLike, Float
 
 from ..mechanics.friction import PerTendon, unspent
 from ..mechanics.problem import (
-    AnyState,
     Number,
     Problem,
     Solution,
-    State,
-    bending_stiffness,
+    geometry_of,
     guarded_section,
     strain_of,
     with_tip_force,
 )
 from ..mechanics.tendon_displacement import tendon_displacement
-from ..numerics.implicit import solve_small
-from ..numerics.rotations import as_matrix, direction_of, length_of, tilt
+from ..numerics.fixed_point import solve_small
+from ..numerics.rotations import as_matrix, direction_of, length_of
 from ..robot.cross_section import SpatialSection, where_present
 from ..robot.profiles import Scalar, as_number
-from .equilibrium_derivatives import missing_moment
-from .equilibrium_search import Setup
+from .balance import missing_moment
+from .settle import Setup
 
 PARALLEL = 1e-9  # sine of the angle between two axes that count as parallel
 FARTHEST = 100.0  # times the tension at which d kappa would come near 1: the search ends there
@@ -39,7 +37,7 @@ class Target(Protocol):
     quantity: ClassVar[str]  # its name in `quantities`
     value: Any  # Scalar, which pyright does not see in a field with a converter
 
-    def reading(self, setup: Setup, problem: Problem, solution: Solution[AnyState], tendon: int) -> Number:
+    def reading(self, setup: Setup, problem: Problem, solution: Solution, tendon: int) -> Number:
         """The value in an equilibrium, in the unit of `value`; `tendon` is the index of the tendon, from 0."""
         ...
 
@@ -65,9 +63,9 @@ class TipPosition(eqx.Module):
     minimum_tension: Any = eqx.field(default=0.0, converter=as_number)
     maximum_tension: Any = eqx.field(default=None, converter=lambda x: None if x is None else as_number(x))
 
-    def misses(self, setup: Setup, _: Problem, solution: Solution[AnyState]) -> Float[Array, " components"]:
+    def misses(self, setup: Setup, _: Problem, solution: Solution) -> Float[Array, " components"]:
         """The tip's position less the wanted one, over the length."""
-        assert isinstance(solution.tip, State)
+        assert solution.tip.position is not None
         return (solution.tip.position - self.value) / jnp.asarray(setup.manipulator.length)
 
     def limits(self, scale: Number, like: PerTendon) -> tuple[PerTendon, PerTendon]:
@@ -94,7 +92,7 @@ class Displacement(eqx.Module):
     quantity: ClassVar[str] = "displacement"
     value: Scalar = eqx.field(converter=as_number)
 
-    def reading(self, setup: Setup, problem: Problem, solution: Solution[AnyState], tendon: int) -> Number:
+    def reading(self, setup: Setup, problem: Problem, solution: Solution, tendon: int) -> Number:
         return tendon_displacement(problem, solution.nodes)[tendon]
 
     def size(self, setup: Setup) -> Number:
@@ -107,8 +105,8 @@ class TipAngle(eqx.Module):
     quantity: ClassVar[str] = "tip_angle"
     value: Scalar = eqx.field(converter=as_number)
 
-    def reading(self, setup: Setup, problem: Problem, solution: Solution[AnyState], tendon: int) -> Number:
-        return tilt(solution.tip.heading) if problem.in_space else solution.tip.heading
+    def reading(self, setup: Setup, problem: Problem, solution: Solution, tendon: int) -> Number:
+        return problem.geometry.tip_angle(solution.tip.heading)
 
     def size(self, setup: Setup) -> Number:
         return jnp.ones_like(jnp.asarray(setup.manipulator.length))
@@ -120,7 +118,7 @@ class TipTension(eqx.Module):
     quantity: ClassVar[str] = "tip_tension"
     value: Scalar = eqx.field(converter=as_number)
 
-    def reading(self, setup: Setup, problem: Problem, solution: Solution[AnyState], tendon: int) -> Number:
+    def reading(self, setup: Setup, problem: Problem, solution: Solution, tendon: int) -> Number:
         left = unspent(problem.base_tension, solution.tip.pull)
         if solution.tip.pull.spent is not None:  # for a slack tendon, a tension below zero gives the search a direction
             left = jnp.where(jnp.asarray(self.value) >= 0, problem.base_tension - solution.tip.pull.spent, left)
@@ -136,7 +134,7 @@ class TotalTension(eqx.Module):
     quantity: ClassVar[str] = "total_tension"
     value: Scalar = eqx.field(converter=as_number)
 
-    def reading(self, setup: Setup, problem: Problem, solution: Solution[AnyState], tendon: int) -> Number:
+    def reading(self, setup: Setup, problem: Problem, solution: Solution, tendon: int) -> Number:
         return jnp.sum(problem.base_tension)
 
     def size(self, setup: Setup) -> Number:
@@ -153,9 +151,9 @@ class CurvatureAt(eqx.Module):
     value: Scalar = eqx.field(converter=as_number)
     arc_length: Scalar = eqx.field(converter=as_number)
 
-    def reading(self, setup: Setup, problem: Problem, solution: Solution[AnyState], tendon: int) -> Number:
-        arc_length = jnp.asarray(self.arc_length, problem.panels.edges.dtype)
-        state = problem.panels.interpolate(solution.starts, solution.nodes, arc_length)
+    def reading(self, setup: Setup, problem: Problem, solution: Solution, tendon: int) -> Number:
+        arc_length = jnp.asarray(self.arc_length, problem.elements.edges.dtype)
+        state = problem.elements.interpolate(solution.starts, solution.nodes, arc_length)
         section = guarded_section(setup.manipulator, arc_length)
         strain = strain_of(section, problem.base_tension, state)
         return length_of((strain - section.rest)[1:3]) if isinstance(section, SpatialSection) else strain
@@ -173,7 +171,7 @@ class TipStiffness(eqx.Module):
     quantity: ClassVar[str] = "tip_stiffness"
     value: Scalar = eqx.field(converter=as_number)
 
-    def reading(self, setup: Setup, problem: Problem, solution: Solution[AnyState], tendon: int) -> Number:
+    def reading(self, setup: Setup, problem: Problem, solution: Solution, tendon: int) -> Number:
         across = _across(solution.tip.heading)
 
         def tip(force, moment):
@@ -210,4 +208,4 @@ def bending_tension(setup: Setup) -> Number:
     arc_length = jnp.linspace(0.0, 1.0, 17) * jnp.asarray(body.length)
     section = jax.vmap(body.cross_section_in_space if body.in_space else body.cross_section)(arc_length)
     offset = jnp.maximum(section.offset, 1e-3 * jnp.asarray(body.length))
-    return jnp.min(where_present(section, bending_stiffness(section)[:, None] / offset**2, jnp.inf))
+    return jnp.min(where_present(section, geometry_of(body).bending_stiffness(section)[:, None] / offset**2, jnp.inf))

@@ -11,11 +11,11 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..mechanics.directions import is_contradicted
 from ..mechanics.friction import PerTendon
-from ..mechanics.problem import AnyState, Number, Problem, Solution
+from ..mechanics.problem import Number, Problem, Solution
 from ..numerics.arrays import zero_as
-from ..numerics.implicit import slopes_by_unknowns, solve_small, without_derivative
-from .equilibrium_derivatives import Balance, Equations, System, balance, inside_of_bend
-from .equilibrium_search import Settled, Setup, settle, unsettled
+from ..numerics.fixed_point import slopes_by_unknowns, solve_small, without_derivative
+from .balance import Balance, Equations, System, balance, inside_of_bend
+from .settle import Settled, Setup, settle, unsettled
 from .targets import FARTHEST, CurvatureAt, Displacement, Target, TipAngle, TipPosition, bending_tension
 
 START = 0.05  # of the tension at which d kappa would come near 1
@@ -134,14 +134,14 @@ def _equations(
     found: Tensions,
     free: Flags,
     problem: Problem,
-    solution: Solution[AnyState],
+    solution: Solution,
 ) -> Float[Array, " unknowns"]:
     """The residuals: the misses of the targets; where a target is not reached, the change of the tension instead."""
     tension = problem.base_tension[jnp.asarray(list(wanted))] / scale
     return jnp.where(free, _misses(setup, wanted, problem, solution), tension - found)
 
 
-def _misses(setup: Setup, wanted: Wanted, problem: Problem, solution: Solution[AnyState]) -> Float[Array, " unknowns"]:
+def _misses(setup: Setup, wanted: Wanted, problem: Problem, solution: Solution) -> Float[Array, " unknowns"]:
     """Reached less wanted, over the sizes of the targets."""
 
     def miss(tendon, target):
@@ -170,9 +170,8 @@ def _evaluation(
         base_tension = given.at[jnp.asarray(unknown)].set(scale * tension)
         settled = settle(setup, base_tension)
         system = System(setup, base_tension, settled, misses, unknown, whole)
-        values = None if settled.trial is None else settled.trial.nodal
-        step = partial(system.improved, places=system.places)
-        (_, rows), push, (problem, solution) = jax.linearize(step, values, system.root, has_aux=True)
+        values = settled.values
+        (_, rows), push, (problem, solution) = jax.linearize(system.improved, values, system.root, has_aux=True)
         slopes = slopes_by_unknowns(push, values, system.root)[1].T
         targets = rows.size - loaded
         residual, jacobian = rows[:targets], slopes[:targets, :count]
@@ -315,7 +314,7 @@ def _place_equations(
     follow: Float[Array, "unknowns components"],
     moves: Float[Array, "unknowns unknowns"],
     problem: Problem,
-    solution: Solution[AnyState],
+    solution: Solution,
 ) -> Tensions:
     """One equation for each tension: tensions at a limit stay there, the others follow the position by least change.
 

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from ..errors import InputError, within
-from ..mechanics.fixed_point import FixedPoint
+from ..mechanics.march import FixedPoint
 from ..mechanics.problem import Method
 from ..numerics.given_numbers import check_numbers
 from ..robot.loads import Loads

@@ -19,7 +19,7 @@ from ..batch.lanes import in_lanes
 from ..batch.work import COPIES, carry_out
 from ..errors import InputError, needed, within
 from ..mechanics.directions import as_directions, stated_directions
-from ..mechanics.fixed_point import FixedPoint
+from ..mechanics.march import FixedPoint
 from ..mechanics.problem import Method
 from ..programs.kept import shapes_of
 from ..robot.loads import Loads, loads_in_space

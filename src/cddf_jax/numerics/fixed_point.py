@@ -1,77 +1,106 @@
-"""The implicit function theorem, for a fixed point, a few unknowns, and places at which pieces of a line end."""
+"""The fixed point with implicit derivatives, which everything that is solved here uses; small linear systems.
+
+A fixed point y = update(y) is found by Picard iteration, and differentiated by the implicit function theorem: in both
+modes and to any order, in jit, vmap, scan and shard_map. Beside its values there may be a few unknowns with an equation
+each, such as the moment at the base of a loaded body.
+"""
 
 from collections.abc import Callable
-from typing import Generic, Protocol, TypeVar, runtime_checkable
+from typing import NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.tree_util import Partial
 from jaxtyping import Array, Bool, Float, PyTree
 
-from .arrays import relative_size, zero_as
+from .arrays import all_finite, relative_size, zero_as
 from .rotations import solve_three
 
 Unknowns = Float[Array, " unknowns"]
-Places = Float[Array, " places"]
 Tree = TypeVar("Tree")
-Context = TypeVar("Context")
 Slopes = TypeVar("Slopes", bound=tuple)
 Result = TypeVar("Result")
 Scalar = Float[Array, ""]
-MAX_PASSES = 64
+Step = Callable[[Tree, Unknowns], tuple[Tree, Unknowns]]  # (values, unknowns) -> better values, residual
+MAX_ITERATIONS = 64
 
 
-@runtime_checkable
-class ImplicitStep(Protocol, Generic[Tree, Context]):
-    """The equations of an equilibrium, as a pytree.
+class FixedPointResult(NamedTuple):
+    """The result of the iteration."""
 
-    The values are those of functions along a line that is cut into pieces. Some pieces end at places where a quantity
-    vanishes, so that all functions are smooth in each piece.
+    value: PyTree  # as the start
+    num_iterations: Scalar
+    change: Scalar  # in the last iteration, as `size` measures it
+    converged: Bool[Array, ""]
+
+
+def fixed_point(
+    update: Callable[[Tree], Tree],
+    start: Tree,
+    *,
+    tolerance: float,
+    max_iterations: int,
+    size: Callable[[Tree, Tree], Scalar] = relative_size,
+    acceptable: Callable[[Tree], Bool[Array, ""]] = all_finite,
+    off: Scalar | float = jnp.inf,
+) -> FixedPointResult:
+    """Solve y = update(y) by Picard iteration; differentiate the solution implicitly.
+
+    No Jacobian is formed, and no exception is raised. Where the iteration does not settle, or ends on a value that is
+    not acceptable, `converged` is false and the value is `start`. The derivatives are then those of the linearisation
+    at `start`, which are finite if those of `update` are.
+
+    Args:
+        update: the map, a pytree as `jax.tree_util.Partial` makes it. Derivatives are with respect to its leaves;
+            everything else that it closes over must be constant.
+        start: first guess, without derivatives.
+        tolerance: the iteration stops when the last change was no larger.
+        max_iterations: the largest number of updates.
+        size: (change, value) -> how large a change is, to be compared with `tolerance`. The linearised iteration
+            always goes on until only rounding errors change.
+        acceptable: whether a value may count as a solution.
+        off: an upper bound of the first change, where one is known. Nothing is iterated where it is within the
+            tolerance.
     """
+    start, off, frozen = without_derivative((start, off, update))
+    value, change, count = repeat(frozen, start, size, tolerance, max_iterations, off)
+    good = (change <= tolerance) & acceptable(value)
+    value = jax.tree.map(lambda new, old: jnp.where(good, new, old), value, start)
+    none = zero_as(value)[None][:0]
+    value, _ = implicit(Partial(_without_unknowns, update), value, none, max_iterations=max_iterations)
+    return FixedPointResult(value, count, change, good)
 
-    def __call__(
-        self, values: Tree, unknowns: Unknowns, places: Places
-    ) -> tuple[tuple[Tree, Unknowns, Places], Context]:
-        """Better values, the residual and the quantities that vanish at the places; and whatever `moved` needs."""
-        ...
 
-    def moved(self, context: Context, /, places: Places, vanishing: Places) -> tuple[Tree, Places]:
-        """The slopes of the values, which move with the places, and those of the places.
-
-        Args:
-            context: from the step.
-            places: where they are.
-            vanishing: the slopes of the quantities that vanish, at places that do not move.
-        """
-        ...
+def _without_unknowns(update: Callable[[Tree], Tree], values: Tree, unknowns: Unknowns) -> tuple[Tree, Unknowns]:
+    return update(values), unknowns
 
 
 def implicit(
-    step: ImplicitStep[Tree, Context],
+    step: Step,
     values: Tree,
     root: Unknowns,
-    places: Places,
     failed: Bool[Array, ""] | bool = False,
-) -> tuple[Tree, Unknowns, Places]:
-    """The same values, unknowns and places, with the derivatives that follow from the equations.
+    max_iterations: int = MAX_ITERATIONS,
+) -> tuple[Tree, Unknowns]:
+    """The same values and unknowns, with the derivatives that follow from the equations.
 
-    The equations are (values, 0, 0) = step(values, unknowns, places)[0], a fixed point for the values. The derivatives
-    hold in both modes and to any order. Linear passes solve the fixed point; the Jacobian of the unknowns is dense.
-    Where it is singular, as in a lane of a batch that found no root, it is replaced by the identity, so that the
-    derivative is finite. The functions along the line do not depend on where pieces end, so that the places follow at
-    last, each by its own quantity. Where nothing is differentiated, `step` is not evaluated.
+    The equations are (values, 0) = step(values, unknowns), a fixed point for the values. The derivatives hold in both
+    modes and to any order. A linear iteration solves the fixed point; the Jacobian of the unknowns is dense. Where it
+    is singular, as in a lane of a batch that found no root, it is replaced by the identity, so that the derivative is
+    finite. Where nothing is differentiated, `step` is not evaluated.
 
     Args:
         step: the equations. Derivatives are with respect to its leaves; everything else that it closes over must be
             constant.
         values: of the fixed point; without derivatives of their own.
         root: where the residual is zero; without derivatives of its own.
-        places: where pieces end; without derivatives of their own.
         failed: whether this lane of a batch has no solution. Then the slopes of the values by the unknowns are zero.
-            They would be NaN where passes do not settle, and in reverse mode zero times NaN is NaN.
+            They would be NaN where the iteration does not settle, and in reverse mode zero times NaN is NaN.
+        max_iterations: of the linear iteration.
     """
-    values, root, places = jax.tree.map(jax.lax.stop_gradient, (values, root, places))
-    return _root(step, values, root, places, failed)
+    values, root = jax.tree.map(jax.lax.stop_gradient, (values, root))
+    return _root(step, values, root, failed, max_iterations=max_iterations)
 
 
 def slopes_by_unknowns(push: Callable[[Tree, Unknowns], Slopes], values: Tree, root: Unknowns) -> Slopes:
@@ -86,7 +115,7 @@ def slopes_by_unknowns(push: Callable[[Tree, Unknowns], Slopes], values: Tree, r
 
     def by(unit: Unknowns) -> Slopes:
         start = jax.tree.map(lambda x: jnp.zeros_like(x) + 0.0 * unit[0], jax.eval_shape(push, values, unit))
-        return by_passes(lambda slopes: push(slopes[0], unit), start, MAX_PASSES)
+        return by_iteration(lambda slopes: push(slopes[0], unit), start, MAX_ITERATIONS)
 
     return jax.vmap(by)(_units(root, values))
 
@@ -97,29 +126,24 @@ def _units(root: Unknowns, *others: PyTree) -> Float[Array, "unknowns unknowns"]
 
 
 @eqx.filter_custom_jvp
-def _root(step, values, root, places, failed):
-    return values, root, places
+def _root(step, values, root, failed, *, max_iterations):
+    return values, root
 
 
 @_root.def_jvp
-def _(primals, tangents):
-    (step, values, root, places, failed), (direction, *_) = primals, tangents
-    values, root, places = _root(step, values, root, places, failed)
-    pushed, push, context = linearised(lambda step, *at: step(*at, places), step, direction, values, root)
-    slopes = _through_passes(push, pushed, root)
-    root_slope = jnp.zeros_like(root)
-    if root.size:
-        still = jax.tree.map(jnp.zeros_like, values)
-        by_unknowns = jax.vmap(lambda unit: _through_passes(push, push(still, unit), root))(_units(root, values))
-        by_unknowns = jax.tree.map(lambda slope: jnp.where(failed, 0.0, slope), by_unknowns)
-        root_slope = -_solve_where_regular(by_unknowns[1].T, slopes[1])
-        slopes = jax.tree.map(lambda v, k: v + jnp.tensordot(root_slope, k, 1), slopes[::2], by_unknowns[::2])
-    values_slope, vanishing = slopes[0], slopes[-1]
-    if not places.size:
-        return (values, root, places), (values_slope, root_slope, vanishing)
-    moved, places_slope = step.moved(context, places, vanishing)
-    values_slope = jax.tree.map(jnp.add, values_slope, moved)
-    return (values, root, places), (values_slope, root_slope, places_slope)
+def _(primals, tangents, *, max_iterations):
+    (step, values, root, failed), (direction, *_) = primals, tangents
+    values, root = _root(step, values, root, failed, max_iterations=max_iterations)
+    pushed, push = linearised(lambda step, *at: step(*at), step, direction, values, root)
+    slopes = _settled(push, pushed, root, max_iterations)
+    if not root.size:
+        return (values, root), slopes
+    still = jax.tree.map(jnp.zeros_like, values)
+    by_unknowns = jax.vmap(lambda unit: _settled(push, push(still, unit), root, max_iterations))(_units(root, values))
+    by_unknowns = jax.tree.map(lambda slope: jnp.where(failed, 0.0, slope), by_unknowns)
+    root_slope = -_solve_where_regular(by_unknowns[1].T, slopes[1])
+    moved = jax.tree.map(lambda v, k: v + jnp.tensordot(root_slope, k, 1), slopes[0], by_unknowns[0])
+    return (values, root), (moved, root_slope)
 
 
 def _solve_where_regular(jacobian: Float[Array, "n n"], vector: Unknowns) -> Unknowns:
@@ -130,15 +154,15 @@ def _solve_where_regular(jacobian: Float[Array, "n n"], vector: Unknowns) -> Unk
     return solve_small(jnp.where(regular, jacobian / size[:, None], eye), vector / size)[0]
 
 
-def _through_passes(push: Callable[[Tree, Unknowns], Slopes], pushed: Slopes, root: Unknowns) -> Slopes:
-    """All slopes x with x = pushed + push(values of x, 0), by passes that go on until only rounding changes."""
+def _settled(push: Callable[[Tree, Unknowns], Slopes], pushed: Slopes, root: Unknowns, max_iterations: int) -> Slopes:
+    """All slopes x with x = pushed + push(values of x, 0), by an iteration that ends where only rounding changes."""
     still = jnp.zeros_like(root)
     known, empty = _without_empty(pushed)  # `custom_linear_solve` cannot transpose empty arrays
 
     def again(slopes: Slopes) -> Slopes:
         return _without_empty(push(eqx.combine(slopes, empty)[0], still))[0]
 
-    return eqx.combine(solve_by_passes(again, known), empty)
+    return eqx.combine(solve_by_iteration(again, known, max_iterations), empty)
 
 
 def _without_empty(slopes: Slopes) -> tuple[Slopes, Slopes]:
@@ -146,30 +170,30 @@ def _without_empty(slopes: Slopes) -> tuple[Slopes, Slopes]:
     return eqx.partition(slopes, lambda x: x.size > 0)
 
 
-def solve_by_passes(push: Callable[[Tree], Tree], pushed: Tree, max_passes: int = MAX_PASSES) -> Tree:
-    """The solution of v = pushed + push(v), where passes v <- pushed + push(v) settle; NaN elsewhere.
+def solve_by_iteration(push: Callable[[Tree], Tree], pushed: Tree, max_iterations: int) -> Tree:
+    """The solution of v = pushed + push(v), where the iteration v <- pushed + push(v) settles; NaN elsewhere.
 
     Args:
         push: a linear function.
         pushed: the known part, of which the solution is a linear function.
-        max_passes: the largest number of passes.
+        max_iterations: the largest number of iterations.
     """
 
     def solve_linear(operator, b):
         def again(v):
             return jax.tree.map(lambda b, v, w: b + v - w, b, v, operator(v))
 
-        return by_passes(again, b, max_passes)
+        return by_iteration(again, b, max_iterations)
 
     return jax.lax.custom_linear_solve(
         lambda v: minus(v, push(v)), pushed, solve=solve_linear, transpose_solve=solve_linear
     )
 
 
-def by_passes(again: Callable[[Tree], Tree], first: Tree, max_passes: int) -> Tree:
-    """The values that a linear pass leaves as they are; NaN where passes do not settle."""
+def by_iteration(again: Callable[[Tree], Tree], first: Tree, max_iterations: int) -> Tree:
+    """The values that a linear update leaves as they are; NaN where its iteration does not settle."""
     settled = round_off(jax.tree.leaves(first)[0].dtype)
-    value, change, _ = repeat(again, first, relative_size, settled, max_passes)
+    value, change, _ = repeat(again, first, relative_size, settled, max_iterations)
     return jax.tree.map(lambda x: jnp.where(change <= 1e3 * settled, x, jnp.nan), value)
 
 
@@ -178,18 +202,18 @@ def repeat(
     first: Tree,
     size: Callable[[Tree, Tree], Scalar],
     tolerance: float,
-    max_passes: int,
+    max_iterations: int,
     change: Scalar | float = jnp.inf,
 ) -> tuple[Tree, Scalar, Scalar]:
-    """The update again and again until it changes no more than the tolerance: values, last change, number of passes.
+    """The update again and again until it changes no more than the tolerance: values, last change, number of updates.
 
-    `change` is what is known of the change that the first pass would make.
+    `change` is what is known of the change that the first update would make.
     """
     zero = zero_as(first)
 
     def unsettled(carry):
         _, change, count = carry
-        return (change > tolerance) & (count < max_passes)
+        return (change > tolerance) & (count < max_iterations)
 
     def body(carry):
         value, _, count = carry
@@ -205,7 +229,7 @@ def minus(a: Tree, b: Tree) -> Tree:
 
 
 def round_off(dtype: jnp.dtype) -> float:
-    """The relative change below which further passes change nothing but rounding errors."""
+    """The relative change below which further updates change nothing but rounding errors."""
     return 32 * float(jnp.finfo(dtype).eps)
 
 
@@ -227,28 +251,25 @@ def slope_along(function: Callable[[Tree], Result], given: Tree, direction: PyTr
 
 
 def linearised(
-    function: Callable[..., tuple[Result, Context]], given: PyTree, direction: PyTree, *at: PyTree
-) -> tuple[Result, Callable[..., Result], Context]:
-    """The derivative of function(given, *at)[0] along a direction of `given`, and by changes of `at`.
+    function: Callable[..., Result], given: PyTree, direction: PyTree, *at: PyTree
+) -> tuple[Result, Callable[..., Result]]:
+    """The derivative of function(given, *at) along a direction of `given`, and by changes of `at`.
 
     The function stands in the program once.
 
     Args:
-        function: whose second result is not differentiated.
         given, direction: as in `slope_along`.
         at: the other arguments, arrays or trees of them.
 
     Returns:
-        The derivative, the linear function, and the second result.
+        The derivative, and the linear function.
     """
     moving, rest = eqx.partition(given, jax.tree.map(lambda _, way: way is not None, given, direction))
-    _, push, context = jax.linearize(
-        lambda moving, *at: function(eqx.combine(moving, rest), *at), moving, *at, has_aux=True
-    )
+    _, push = jax.linearize(lambda moving, *at: function(eqx.combine(moving, rest), *at), moving, *at)
     still, *unchanged = jax.tree.map(jnp.zeros_like, (moving, *at))
     zero = 0.0 * jax.tree.leaves(direction)[0].ravel()[0]  # as in `slope_along`
     slope = jax.tree.map(lambda slope: slope + zero, push(direction, *unchanged))
-    return slope, jax.linearize(lambda *changes: push(still, *changes), *unchanged)[1], context
+    return slope, jax.linearize(lambda *changes: push(still, *changes), *unchanged)[1]
 
 
 def solve_small(

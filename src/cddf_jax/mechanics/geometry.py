@@ -1,0 +1,311 @@
+"""What differs between a body in the plane and one in space: strain, heading, turning. The solver asks here only.
+
+A `Geometry` is chosen by `problem.geometry_of`. Its functions of "an element" take the values at the p nodes of one
+element and integrate over it; the others take one cross-section.
+"""
+
+from typing import ClassVar, TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from ..numerics.arrays import cos_sin, largest_size
+from ..numerics.elements import slope_in_element, totals, totals_of_length, totals_of_magnitude
+from ..numerics.rotations import (
+    IDENTITY,
+    as_matrix,
+    cofactors,
+    cross,
+    in_own_frame,
+    length_of,
+    small_turn,
+    solve_three,
+    tilt,
+    turned_by,
+)
+from ..robot.cross_section import AnySection, planar, spatial
+from ..robot.loads import planar_cross
+from ..robot.manipulator import Manipulator
+from . import bending, space
+from .friction import PerTendon
+
+Number = Float[Array, ""]
+Totals = tuple[Float[Array, "p *k"], Float[Array, "*k"]]  # integrals to the nodes of an element, and over it
+
+
+class Plane:
+    """The strain is the curvature kappa, the heading is phi, rad, and a moment is a number."""
+
+    components: ClassVar[int] = 2
+    no_moment: ClassVar[np.ndarray] = np.zeros(())
+    upright: ClassVar[np.ndarray] = np.zeros(())  # the heading at the base
+    has_frames: ClassVar[bool] = False  # whether headings are unknowns of the iteration
+
+    def reverses(self, body: Manipulator, loaded: bool) -> bool:
+        """Whether a tendon may turn to both sides along the body; static.
+
+        In the published kinematics and for tendons parallel to the axis all tendons turn with the body. Without loads
+        and drag their moment M depends on the wrap angle theta alone, and theta' = |M(theta)| / (E J) does not reach
+        a zero of M along a finite body. In the exact kinematics a slanted tendon has a turning of its own.
+        """
+        own = body.kinematics == "exact" and body.slanted
+        return loaded or own or (body.num_tendons > 1 and (body.slanted or body.tendon_drag is not None))
+
+    def may_turn_at_joints(self, body: Manipulator, loaded: bool) -> bool:
+        """Whether a tendon may turn by a finite angle where the body is not smooth; static."""
+        return body.kinematics == "exact" and body.slanted
+
+    def turns_with_tension(self, section: AnySection) -> bool:
+        """Whether a single tendon turns in proportion to its tension; static."""
+        return planar(section).kinematics == "published" or not planar(section).slanted
+
+    def has_closed_strain(self, body: Manipulator, loaded: bool) -> bool:
+        """Whether the strain needs no iteration; static."""
+        return body.kinematics == "published" or not body.slanted
+
+    def strain_shape(self, body: Manipulator) -> tuple[int, ...]:
+        return ()
+
+    def bending_stiffness(self, section: AnySection) -> Float[Array, "*points"]:
+        """E J, N m^2."""
+        return section.stiffness
+
+    def strain(
+        self,
+        section: AnySection,
+        tension: PerTendon,
+        heading: Array | None,
+        moment: Array,
+        force: Array | None,
+        start: Array | None,
+    ) -> Array:
+        """The strain of a cross-section, from the tensions and the loads outboard in the fixed frame.
+
+        `start`: the elastic strain, approximately, where there is no closed form.
+        """
+        return bending.curvature(planar(section), tension, moment, start)
+
+    def elastic(self, section: AnySection, strain: Array) -> Array:
+        """The strain less that at rest."""
+        return strain
+
+    def bend(self, width: Number, strain: Array, guess: Array | None, start: Array) -> tuple[Array, Array]:
+        """The heading at the nodes and at the end of an element."""
+        nodes, end = totals(width, strain)
+        return start + nodes, start + end
+
+    def axis(self, heading: Float[Array, "*points"], strain: Array) -> Float[Array, "*points 2"]:
+        """The derivative of the position along s: the unit vector t."""
+        return axis_of(heading)
+
+    def moment_rate(self, axis: Array, force: Array) -> Array:
+        """M_ext' = -(t x N), N."""
+        return -planar_cross(axis, force)
+
+    def turning(
+        self,
+        width: Number,
+        section: AnySection,
+        strain: Array,
+        tension: Array,
+        direction: PerTendon,
+        moment_rate: Array | None,
+    ) -> Float[Array, "p tendons"]:
+        """The signed rate psi' of each tendon at the nodes of an element, rad/m."""
+        by_loads = jnp.zeros_like(strain) if moment_rate is None else moment_rate
+        at_nodes = jax.vmap(bending.turning, (0, 0, 0, None, 0))
+        return at_nodes(planar(section), strain, tension, direction, by_loads)
+
+    def totals_of_turning(self, width: Number, turning: Array, factor: Array, reverses: bool) -> Totals:
+        """The integral of |psi'| times a factor over an element."""
+        return totals_of_magnitude(width, factor * turning) if reverses else totals(width, factor * jnp.abs(turning))
+
+    def pointing(self, section: AnySection, strain: Array) -> Array:
+        """Where the tendons point in the frame of the cross-section: angles alpha, rad."""
+        return bending.tangent_angle(planar(section), strain)
+
+    def turn_between(self, one: Array, other: Array) -> PerTendon:
+        """The angle between two directions of `pointing`, rad."""
+        return jnp.abs(other - one)
+
+    def slip_rate(self, section: AnySection, strain: Array, tension: PerTendon, compliance: PerTendon) -> PerTendon:
+        """By how much a tendon's path shortens and the tendon stretches per arc length."""
+        return bending.slip_rate(planar(section), strain, tension, compliance)
+
+    def inside(self, section: AnySection, strain: Array) -> PerTendon:
+        """By how much the fibre at a tendon is shorter than the axis: sigma d kappa."""
+        return planar(section).side * section.offset * strain
+
+    def tip_angle(self, heading: Array) -> Number:
+        return heading
+
+    def tip_frame(self, heading: Array) -> None:
+        """None: the angle says it all."""
+        return None
+
+    # M_ext(0) is one number
+
+    def moment_for(self, slopes: Array, change: Array) -> Array:
+        """The change of M_ext(0) that causes a change of the moment at the tip."""
+        return change / slopes[0]
+
+    def steepness(self, slopes: Array) -> Number:
+        """The least rate at which the moment at the tip changes with M_ext(0)."""
+        return jnp.abs(slopes[0])
+
+    def is_stable(self, turned: Array, heading: Array, slopes: Array) -> Bool[Array, ""]:
+        """Whether the smallest eigenvalue of the tangent is positive: no conjugate point along the body.
+
+        Args:
+            turned: the slopes of the headings at the nodes and, last, at the tip, by M_ext(0).
+            heading: there.
+            slopes: of the moment at the tip by M_ext(0).
+        """
+        return (slopes[0] > 0) & (turned[0, -1] > 0) & jnp.all(turned[0] >= 0)
+
+
+class Space:
+    """The strain is the curvature u, and v where the axis stretches; the heading is a quaternion."""
+
+    components: ClassVar[int] = 3
+    no_moment: ClassVar[np.ndarray] = np.zeros(3)
+    upright: ClassVar[np.ndarray] = np.array(IDENTITY)
+    has_frames: ClassVar[bool] = True
+
+    def reverses(self, body: Manipulator, loaded: bool) -> bool:
+        """Whether the turning of a tendon may have a minimum so sharp that it is nearly a kink; static.
+
+        Without loads and drag, tendons that are all parallel to the axis have none: their wrap angle obeys
+        theta'' = P'(theta) / 2 over s / (E J), where P, the square of the moment, is smooth in theta.
+        """
+        parallel = not body.slanted and body.rest_curvature is None
+        alone = body.num_tendons == 1 or (body.tendon_drag is None and not body.extensible)
+        return loaded or not (parallel and alone)
+
+    def may_turn_at_joints(self, body: Manipulator, loaded: bool) -> bool:
+        return body.slanted or loaded or body.rest_curvature is not None  # every tendon of a body that twists
+
+    def turns_with_tension(self, section: AnySection) -> bool:
+        return False
+
+    def has_closed_strain(self, body: Manipulator, loaded: bool) -> bool:
+        return not loaded and body.parallel
+
+    def strain_shape(self, body: Manipulator) -> tuple[int, ...]:
+        return (6 if body.extensible else 3,)
+
+    def bending_stiffness(self, section: AnySection) -> Float[Array, "*points"]:
+        return section.stiffness[..., 1]
+
+    def strain(
+        self,
+        section: AnySection,
+        tension: PerTendon,
+        heading: Array | None,
+        moment: Array,
+        force: Array | None,
+        start: Array | None,
+    ) -> Array:
+        section, wrench = spatial(section), None
+        if heading is not None and force is not None:
+            wrench = space.Wrench(
+                in_own_frame(heading, moment), in_own_frame(heading, force) if section.extensible else None
+            )
+        return space.strain(section, tension, wrench, start)
+
+    def elastic(self, section: AnySection, strain: Array) -> Array:
+        return strain - spatial(section).rest
+
+    def bend(self, width: Number, strain: Array, guess: Array | None, start: Array) -> tuple[Array, Array]:
+        assert guess is not None
+        nodes, end = totals(width, turned_by(guess, space.curvature_of_strain(strain)))
+        return start + nodes, start + end
+
+    def axis(self, heading: Float[Array, "*points 4"], strain: Array) -> Float[Array, "*points 3"]:
+        return space.axis_in_fixed_frame(heading, strain)
+
+    def moment_rate(self, axis: Array, force: Array) -> Array:
+        return -cross(axis, force)
+
+    def turning(
+        self,
+        width: Number,
+        section: AnySection,
+        strain: Array,
+        tension: Array,
+        direction: PerTendon,
+        moment_rate: Array | None,
+    ) -> Float[Array, "p tendons 3"]:
+        """The vectors by which the tangents of the tendons turn; t' is that of the polynomial through the nodes."""
+        section = spatial(section)
+        if moment_rate is None and section.parallel:
+            turn = jnp.broadcast_to(strain[..., None, :], (*section.offset.shape, 3))
+        else:
+            tangent = jax.vmap(space.tangents)(section, strain)
+            turn = jax.vmap(space.turn_vectors)(strain, tangent, slope_in_element(width, tangent))
+        return turn if section.present is None else jnp.where(section.present[..., None], turn, 0.0)
+
+    def totals_of_turning(self, width: Number, turning: Array, factor: Array, reverses: bool) -> Totals:
+        if reverses:
+            return totals_of_length(width, factor[..., None] * turning)
+        return totals(width, factor * length_of(turning))
+
+    def pointing(self, section: AnySection, strain: Array) -> Array:
+        """Unit tangents."""
+        return space.tangents(spatial(section), strain)
+
+    def turn_between(self, one: Array, other: Array) -> PerTendon:
+        return space.turn_between(one, other)
+
+    def slip_rate(self, section: AnySection, strain: Array, tension: PerTendon, compliance: PerTendon) -> PerTendon:
+        return space.slip_rate_in_space(spatial(section), strain, tension, compliance)
+
+    def inside(self, section: AnySection, strain: Array) -> PerTendon:
+        return 1.0 - space.path_rate(spatial(section), strain)[:, 0]
+
+    def tip_angle(self, heading: Array) -> Number:
+        """Between the axes of tip and base, rad."""
+        return tilt(heading)
+
+    def tip_frame(self, heading: Array) -> Float[Array, "3 3"]:
+        """Its columns are the axes of the tip."""
+        return as_matrix(heading)
+
+    # M_ext(0) has three components
+
+    def moment_for(self, slopes: Array, change: Array) -> Array:
+        return solve_three(slopes.T, change)
+
+    def steepness(self, slopes: Array) -> Number:
+        tiny = jnp.finfo(slopes.dtype).tiny
+        return jnp.abs(_invariants(slopes)[2]) / jnp.maximum(largest_size(slopes), tiny) ** 2
+
+    def is_stable(self, turned: Array, heading: Array, slopes: Array) -> Bool[Array, ""]:
+        """Whether no eigenvalue has become negative, of two matrices of derivatives.
+
+        These are the turns of the cross-sections by M_ext(0), and M_ext(L) by the turn of the tip. The three invariants
+        decide. They also show two eigenvalues that became negative together.
+        """
+        turns = jnp.moveaxis(small_turn(turned, heading), 0, -1) * 2.0  # headings are twice a quaternion
+        stiffness = slopes.T @ cofactors(turns[-1]).T  # det(tip) times M_ext(L) by the turn of the tip
+        signs = _invariants(jnp.concatenate([turns, (stiffness + stiffness.T)[None]]))
+        return jnp.all(signs >= 0) & jnp.all(signs[:, -2:] > 0)
+
+
+def _invariants(matrix: Float[Array, "*points 3 3"]) -> Float[Array, "3 *points"]:
+    """The trace, the sum of the principal minors, and the determinant."""
+    a, b, c = (matrix[..., i, :] for i in range(3))
+    trace = a[..., 0] + b[..., 1] + c[..., 2]
+    of_square = jnp.sum(matrix * jnp.swapaxes(matrix, -1, -2), axis=(-2, -1))
+    return jnp.stack([trace, (trace**2 - of_square) / 2, jnp.sum(a * cross(b, c), axis=-1)])
+
+
+def axis_of(heading: Float[Array, "*points"]) -> Float[Array, "*points 2"]:
+    """The unit vector t along the neutral axis, in the plane."""
+    return jnp.stack(cos_sin(heading), axis=-1)
+
+
+Geometry: TypeAlias = Plane | Space
+PLANE, SPACE = Plane(), Space()

@@ -1,0 +1,333 @@
+"""One iteration of the solver, the march from base to tip, and the fixed point that makes it a method.
+
+Shape and tension depend on each other: friction lowers the tension where the tendon turns, and the tension bends the
+body. The unknowns at the nodes are r_i = T_base,i / T_i, for which the capstan law, Liu et al. (2020) eq. (8), reads
+r' = direction mu theta' r, and under dead loads the moment M_ext, in space also the rotation. Each iteration computes
+the shape from the last unknowns, and new unknowns from that shape. With one unloaded tendon theta' r mostly does not
+depend on r, see `Problem.is_quadrature`, and one iteration is exact.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.tree_util import Partial
+from jaxtyping import Array, Bool, Float
+
+from ..numerics.arrays import all_finite, computed_once, largest, largest_size, relative_size, zero_as
+from ..numerics.elements import Elements, totals
+from ..numerics.fixed_point import fixed_point, minus, round_off, without_derivative
+from ..numerics.rotations import about, direction_of, parts_of, product, sum_of, turned_across, turned_by
+from ..robot.cross_section import AnySection, spatial, where_present
+from . import space
+from .friction import PerTendon, Pull, is_proportional, ratio_beyond, ratio_factor, spent_rate
+from .problem import (
+    Joints,
+    Nodal,
+    Number,
+    Problem,
+    Solution,
+    State,
+    nodal,
+    ones_at_base,
+    starts_of_newton,
+    strain_of,
+    tension_of,
+    unbent,
+)
+
+JOINT_STEPS = 6  # of the fixed point of r beyond a joint: r changes the angle there by mu d d' kappa only
+LAST_GAIN = 64.0  # times the tolerance: with a larger change the iteration goes on, also where it converges fast
+
+
+class Part(NamedTuple):
+    """What the march needs of each element; leading axis P."""
+
+    width: Float[Array, " P"]
+    section: AnySection  # at the nodes
+    joint: Joints | None  # at its start
+    force_at_start: Array | None  # N, newtons; None in space without loads
+    force: Array | None  # likewise at the nodes
+    guess: Nodal  # the unknowns of the iteration before
+    strain: Array | None  # the elastic strain there, approximately; None where it has a closed form
+
+
+def march(
+    problem: Problem, guess: Nodal, strain: Array | None = None, whole: bool = False
+) -> tuple[State, State, State, Array]:
+    """One iteration: shape, friction and moment from base to tip, by a scan over the elements.
+
+    Args:
+        problem: the body.
+        guess: the unknowns at its nodes.
+        strain: the elastic strain there, approximately, from which Newton's method starts; None to start from zero.
+        whole: whether wrap angle and position are integrated as well.
+
+    Returns:
+        The states at the starts of the elements, at the nodes and at the tip, and the elastic strain at the nodes.
+    """
+    outboard = problem.outboard
+    forces = (outboard.starts, outboard.nodes) if _has_headings(problem) else (None, None)
+    parts = Part(problem.elements.width, problem.nodes, problem.joints, *forces, guess, strain)
+
+    def element(arriving: State, part: Part) -> tuple[State, tuple[State, State, Array]]:
+        start = _across_joint(problem, arriving, part)
+        nodes, end, elastic = _along_element(problem, start, part)
+        return end, (start, nodes, elastic)
+
+    tip, (starts, nodes, elastic) = jax.lax.scan(element, _at_base(problem, whole), parts)
+    return starts, nodes, tip, elastic
+
+
+def _has_headings(problem: Problem) -> bool:
+    """Whether the march knows headings; in space without loads it does not need them; static."""
+    return problem.loads is not None or not problem.geometry.has_frames
+
+
+def _at_base(problem: Problem, whole: bool) -> State:
+    ones, geometry = ones_at_base(problem), problem.geometry
+    zero = zero_as(ones)
+    return State(
+        pull=Pull(ones, None if problem.nodes.drag is None else 0.0 * ones),
+        heading=zero + jnp.asarray(geometry.upright, zero.dtype) if _has_headings(problem) else None,
+        moment=problem.base_moment + zero,
+        force=None,
+        strain=None,
+        wrap_angle=0.0 * ones if whole else None,
+        position=zero + jnp.zeros(geometry.components, zero.dtype) if whole and _has_headings(problem) else None,
+    )
+
+
+def _along_element(problem: Problem, start: State, part: Part) -> tuple[State, State, Array]:
+    """The states at the nodes and at the end of an element, and the elastic strain at the nodes."""
+    geometry, section, guess, width = problem.geometry, part.section, part.guess, part.width
+    spent = _onwards(start.pull.spent, width, spent_rate(problem.direction, section, guess.ratio))
+    tension = tension_of(section, problem.base_tension, Pull(guess.ratio, spent[0]))
+    acting = guess.frame, _moments(problem, guess), part.force, part.strain
+    strain = jax.vmap(geometry.strain)(section, tension, *acting)
+    heading, axis, rate = _headings(problem, start, part, strain)
+    turning = geometry.turning(width, section, strain, tension, problem.direction, rate)
+    growth = geometry.totals_of_turning(width, turning, ratio_factor(section, guess.ratio), problem.reverses)
+    wrap = moment = position = (None, None)
+    if start.wrap_angle is not None:
+        wrap = geometry.totals_of_turning(width, turning, jnp.ones_like(guess.ratio), problem.reverses)
+        wrap = [start.wrap_angle + more for more in wrap]
+    moment = _onwards(start.moment, width, jnp.zeros_like(acting[1]) if rate is None else rate)
+    position = _onwards(start.position, width, axis)
+    nodes, end = (
+        State(
+            Pull(start.ratio + problem.direction * growth[i], spent[i]),
+            heading[i],
+            moment[i],
+            None,
+            None,
+            wrap[i],
+            position[i],
+        )
+        for i in range(2)
+    )
+    return nodes, end, jax.vmap(geometry.elastic)(section, strain)
+
+
+def _onwards(start: Array | None, width: Number, rate: Array | None) -> tuple[Array | None, Array | None]:
+    """A value at the nodes and at the end of an element, from that at its start and its rate at the nodes."""
+    if start is None or rate is None:
+        return None, None
+    nodes, end = totals(width, rate)
+    return start + nodes, start + end
+
+
+def _headings(problem: Problem, start: State, part: Part, strain: Array) -> tuple[tuple, Array | None, Array | None]:
+    """The heading at the nodes and the end of an element; the axis t and M_ext' at the nodes. With the new headings
+    the iteration converges faster."""
+    if start.heading is None:
+        return (None, None), None, None
+    heading = problem.geometry.bend(part.width, strain, part.guess.frame, start.heading)
+    axis = problem.geometry.axis(heading[0], strain)
+    return heading, axis, None if problem.loads is None else problem.geometry.moment_rate(axis, part.force)
+
+
+def _moments(problem: Problem, guess: Nodal) -> Float[Array, "p *components"]:
+    """M_ext at the nodes of an element, N m."""
+    if guess.moment is not None:
+        return problem.moment_scale * guess.moment
+    return jnp.multiply.outer(0.0 * guess.ratio[:, 0], jnp.asarray(problem.geometry.no_moment, guess.ratio.dtype))
+
+
+def _across_joint(problem: Problem, arriving: State, part: Part) -> State:
+    """The state beyond the start of an element: r grows by the finite angle by which a tendon turns there."""
+    if part.joint is None:
+        return arriving
+    turn, ratio = turn_at_joint(problem, part.joint, arriving._replace(force=part.force_at_start))
+    wrap = None if arriving.wrap_angle is None else arriving.wrap_angle + turn
+    return arriving._replace(pull=arriving.pull._replace(ratio=ratio), wrap_angle=wrap)
+
+
+def turn_at_joint(problem: Problem, joint: Joints, arriving: State) -> tuple[PerTendon, PerTendon]:
+    """The finite angle by which a tendon turns where two pieces meet (exact kinematics), and r beyond it."""
+    geometry, ratio = problem.geometry, arriving.ratio
+
+    def pointing(section: AnySection, ratio: PerTendon) -> Array:
+        state = arriving._replace(pull=arriving.pull._replace(ratio=ratio))
+        return geometry.pointing(section, strain_of(section, problem.base_tension, state))
+
+    before = pointing(joint.before, ratio)
+
+    def improve(_, guess):
+        turn = where_present(joint.after, geometry.turn_between(before, pointing(joint.after, guess[1])))
+        return turn, ratio_beyond(problem.direction, joint.before, turn, ratio)
+
+    return jax.lax.fori_loop(0, JOINT_STEPS, improve, (jnp.zeros_like(ratio), ratio + zero_as(before)))
+
+
+# --- the method ------------------------------------------------------------------------------------
+
+
+class FixedPoint(eqx.Module):
+    """The default method: Picard iteration of r = 1 + integral of direction mu theta' r.
+
+    Under dead loads M_ext = M_ext(0) - integral of t x N is iterated with it. Each iteration solves the equilibrium
+    of every cross-section with the last tensions and the last moment (the semi-implicit map). Both enter
+    through Volterra integrals, so that the error after n iterations falls like c^n / n! for any load.
+    Derivatives are implicit, see `numerics.fixed_point`.
+
+    Args:
+        tolerance: relative change of r at which the iteration stops; None for 1e-12 (float32: 4e-6).
+        max_iterations: the largest number of iterations in one try.
+    """
+
+    tolerance: float | None = eqx.field(default=None, static=True)
+    max_iterations: int = eqx.field(default=64, static=True)
+
+    def __call__(self, problem: Problem) -> Solution:
+        update, least = Partial(_improved, problem), self._tolerance(problem)
+        guess = unbent(problem)
+        if problem.is_quadrature:
+            values = update(jax.lax.stop_gradient(guess))
+            change, count = jnp.where(all_finite(values), 0.0, jnp.inf), ones_at_base(problem)[0]
+            good = computed_once(_acceptable(values).astype(count.dtype)) > 0.5
+            values = jax.tree.map(lambda new, old: jnp.where(good, new, old), values, guess)
+        else:
+            off = jnp.inf
+            if _follows_the_axis(problem):
+                guess, off = _once(problem, guess)
+            settings = {"tolerance": least, "max_iterations": self.max_iterations}
+            values, count, change, good = fixed_point(update, guess, **settings, acceptable=_acceptable, off=off)
+        found = self.finish(problem, values)
+        good = good & jnp.all(found.tip.ratio > 0)
+        return Solution(found.starts, found.nodes, found.tip, count, change, good, (change <= least) & ~good)
+
+    def improve(
+        self, problem: Problem, guess: Nodal, strain: Array | None = None, before: Number | float = 0.0
+    ) -> Solution:
+        return self._judged(problem, guess, march(problem, guess, strain), before)
+
+    def finish(self, problem: Problem, guess: Nodal, strain: Array | None = None) -> Solution:
+        along = march(problem, guess, strain, whole=True)
+        found = self._judged(problem, guess, along, 0.0)
+        return found if _has_headings(problem) else _with_frames(problem, found, along[3])
+
+    def _judged(
+        self, problem: Problem, guess: Nodal, along: tuple[State, State, State, Array], before: Number | float
+    ) -> Solution:
+        """What a march found, and whether it has changed so little that it is the solution."""
+        starts, nodes, tip = _solved(problem, *along)
+        better, guess = without_derivative((nodal(problem, nodes), guess))  # their change needs no derivative
+        change = relative_size(minus(better, guess), better)
+        positive = jnp.all(tip.ratio > 0) & jnp.all(better.ratio > 0)
+        # the iteration converges by the factor change / before, so the next change would be this one times that factor
+        least = self._tolerance(problem)
+        still = (change * change <= least * jnp.maximum(before, change)) & (change <= LAST_GAIN * least)
+        # from a poor guess r may pass below zero and come back
+        return Solution(starts, nodes, tip, jnp.ones_like(change), change, still & positive, still & ~positive)
+
+    def _tolerance(self, problem: Problem) -> float:
+        return max(1e-12, round_off(problem.elements.edges.dtype)) if self.tolerance is None else self.tolerance
+
+
+def _improved(problem: Problem, guess: Nodal) -> Nodal:
+    return nodal(problem, march(problem, guess)[1])
+
+
+def _acceptable(values: Nodal) -> Bool[Array, ""]:
+    return all_finite(values._replace(ratio=jnp.where(values.ratio > 0, values.ratio, jnp.inf)))
+
+
+def _follows_the_axis(problem: Problem) -> bool:
+    """Whether all tendons of a body in space follow its axis, and lose tension in proportion to it; static."""
+    closed = problem.geometry.has_closed_strain(problem.manipulator, problem.loads is not None)
+    return problem.geometry.has_frames and closed and is_proportional(problem.nodes)
+
+
+def _once(problem: Problem, guess: Nodal) -> tuple[Nodal, Number]:
+    """The ratio r of tendons that follow the axis after one iteration; how far it is off: zero if friction is alike.
+
+    If all tendons have the same friction, all tensions fall alike, and |M| r is the moment of the base tensions:
+    r' = direction mu |M(0)| / (E J).
+    """
+    growth = problem.direction * problem.manipulator.tendon_friction
+    return _improved(problem, guess), jnp.where(jnp.all(growth == growth[0]), 0.0, jnp.inf)
+
+
+def _solved(problem: Problem, starts: State, nodes: State, tip: State, elastic: Array) -> tuple[State, State, State]:
+    """The states with the forces of the loads, and the elastic strain where it has no closed form."""
+    outboard, strains = problem.outboard, starts_of_newton(problem, elastic)
+    forces = (outboard.starts, outboard.nodes, outboard.tip) if _has_headings(problem) else (None, None, None)
+    given = zip((starts, nodes, tip), forces, strains, strict=True)
+    states = [state._replace(force=force, strain=strain) for state, force, strain in given]
+    if not _has_headings(problem):
+        upright = jnp.asarray(problem.geometry.upright, elastic.dtype)
+        states = [state._replace(heading=jnp.multiply.outer(1 + 0 * state.ratio[..., 0], upright)) for state in states]
+    return states[0], states[1], states[2]
+
+
+# --- a body in space without loads, whose rotations follow at the end ------------------------------
+
+
+def _with_frames(problem: Problem, found: Solution, elastic: Array) -> Solution:
+    """The solution with rotations and position.
+
+    Args:
+        problem: the body.
+        found: without them.
+        elastic: the strain at the nodes less that at rest.
+    """
+    cut, strain = problem.elements, spatial(problem.nodes).rest + elastic
+    frames = _frames(cut, strain)
+    axis = problem.geometry.axis(frames[1], strain)
+    places = cut.integrate(axis)
+
+    def whole(state: State, heading: Array, position: Array) -> State:
+        return state._replace(heading=heading, position=position)
+
+    starts = whole(found.starts, frames[0][:-1], places[0][:-1])
+    nodes, tip = whole(found.nodes, frames[1], places[1]), whole(found.tip, frames[0][-1], places[0][-1])
+    return Solution(starts, nodes, tip, found.num_iterations, found.residual, found.converged, found.locked)
+
+
+def _frames(cut: Elements, strain: Array) -> tuple[Array, Array]:
+    """The rotations at the edges and the nodes that follow from the curvature, both (..., 4).
+
+    Each is a turn about one axis for the whole body, and a rotation after it, which an iteration finds: the identity
+    and a change. Where the body bends about one axis, the turn is all.
+    """
+    curvature = computed_once(space.curvature_of_strain(strain))
+    axis = without_derivative(direction_of(jnp.sum(cut.gain(curvature), axis=0)))  # any axis leads to the same frames
+    rate = sum_of([x * n for x, n in zip(parts_of(curvature), axis, strict=True)])[..., 0]
+    turns = jax.tree.map(lambda angle: about(axis, angle), cut.integrate(rate))
+    rest = turned_across(turns[1], curvature - rate[..., None] * axis)
+    off = largest(sum_of([jnp.abs(part) for part in parts_of(rest)])) * cut.edges[-1]
+    settings = {"tolerance": round_off(rate.dtype), "max_iterations": 64, "size": _absolute_size, "off": off}
+    found = fixed_point(Partial(_turned_on, cut, rest), jax.tree.map(jnp.zeros_like, turns), **settings)
+    return jax.tree.map(lambda turn, change: turn + product(change, turn), turns, found.value)
+
+
+def _turned_on(cut: Elements, rate: Array, change: tuple[Array, Array]) -> tuple[Array, Array]:
+    """A better change, by which the rotation differs from the identity."""
+    real, vector = jnp.split(change[1], [1], axis=-1)
+    return cut.integrate(turned_by(jnp.concatenate([1.0 + real, vector], axis=-1), rate))
+
+
+def _absolute_size(change: tuple[Array, Array], _: tuple[Array, Array]) -> Number:
+    return largest_size(change)

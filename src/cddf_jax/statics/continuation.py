@@ -1,0 +1,177 @@
+"""Continuation in the loads, from the unloaded body to the loaded one.
+
+Where a loaded body has several equilibria, the solution is the one on the path along which the tensions act first, and
+then all loads grow together from 0 to 1. `follow_loads` follows this path by predictor and corrector: a prediction of
+second order in the load fraction, then iterations of `LoadedBody.iterate`, then the step is accepted or shortened.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from ..mechanics.problem import Moment, Number
+from ..numerics.arrays import largest_size
+from .shooting import Flag, Iterate, LoadedBody, Values, along_moment
+
+LARGEST_TURN = 1.0  # rad: the largest turn of a cross-section in one step along the path
+FIRST_TURN = 0.35  # rad: the turn at which the first step aims, because no prediction has been compared yet
+LARGEST_MISS = 0.2  # rad: the largest difference of a heading from its prediction
+LEAST_STEP = 1e-5  # of the loads
+CRITICAL_STEP = 1e-4  # of the loads: a longer step in which stability changes may have reached another branch
+MAX_TRIES = 200
+MAX_CORRECTIONS = 16  # iterations of one try
+
+
+class LoadPath(NamedTuple):
+    """The end of the path of equilibria."""
+
+    base_moment: Moment  # M_ext(0) over the problem's moment scale
+    fraction: Number  # of the loads, up to which an equilibrium was found; 1 unless the path ended before
+    num_steps: Number  # steps of the loads
+    converged: Flag
+    stable: Flag  # the smallest eigenvalue of the tangent is positive
+    resolved: Flag  # false where the path did not end, but the method failed
+
+
+class _Point(NamedTuple):
+    """An equilibrium on the path."""
+
+    fraction: Number
+    values: Values
+    slope: Values  # with respect to the load fraction
+    bend: Values  # half the second derivative, as the slope changed in the last step; 0 at the start
+    strain: jax.Array | None  # as in an iterate
+    stable: Flag
+
+
+class _Continuation(NamedTuple):
+    point: _Point  # the last equilibrium that was accepted
+    iterate: Iterate  # of the next one
+    step: Number  # to it, of the loads
+    fraction: Number  # at which it is tried
+    num_steps: Number
+    num_tries: Number
+    arrived: Flag  # at the full loads
+    ended: Flag  # before them
+    resolved: Flag
+
+
+def follow_loads(body: LoadedBody, zero: Number) -> tuple[LoadPath, Iterate]:
+    """Follow the path of equilibria until all loads act.
+
+    A step is taken back and shortened in three cases: a few iterations do not bring it near to an equilibrium; the body
+    turns too far or differs too much from the prediction; or the stability changes in a step that is not small.
+
+    Args:
+        body: its problem is that under its full loads.
+        zero: 0, which under shard_map varies as all numbers do.
+
+    Returns:
+        The end of the path, and the iterate there. Where the path did not end before, the last slopes of the iterate
+        are those with respect to a factor on all base tensions.
+    """
+
+    def unfinished(state: _Continuation) -> Flag:
+        return ~(state.ended | (state.arrived & (state.iterate.settled | state.iterate.lost)))
+
+    def advance(state: _Continuation) -> _Continuation:
+        state = state._replace(iterate=body.iterate(state.iterate, state.fraction, state.fraction < 1.0))
+        iterate = state.iterate
+        failed = iterate.lost | ((state.num_tries > 0) & (iterate.num_iterations >= MAX_CORRECTIONS))
+        tried = ~state.arrived & (iterate.near | failed)
+        return jax.tree.map(lambda new, old: jnp.where(tried, new, old), _next_try(body, state), state)
+
+    end = jax.lax.while_loop(unfinished, advance, _start(body, zero))
+    point, last = end.point, end.iterate
+    converged = end.arrived & last.settled
+    found = LoadPath(
+        base_moment=jnp.where(converged, last.values.moment, point.values.moment),
+        fraction=point.fraction,
+        num_steps=end.num_steps,
+        converged=converged,
+        stable=jnp.where(converged, body.is_stable(last), point.stable),
+        resolved=end.resolved & last.sane & (last.settled | ~end.arrived),
+    )
+    return found, last
+
+
+def _start(body: LoadedBody, zero: Number) -> _Continuation:
+    """Before the first try, which is the body without loads."""
+    first = body.first(zero)
+    still = jax.tree.map(jnp.zeros_like, first.values)
+    false, true = zero > 0, zero == 0
+    point = _Point(zero, first.values, still, still, first.strain, true)
+    return _Continuation(point, first, zero + 1.0, zero, zero, zero, false, false, true)
+
+
+def _next_try(body: LoadedBody, state: _Continuation) -> _Continuation:
+    """Accept the step and predict the next one, or shorten it."""
+    first, iterate = state.num_tries == 0, state.iterate
+    reached, on_path, missed = _reached(body, state)
+    turned = jnp.where(first, 0.0, largest_size(reached.values.heading - state.point.values.heading))
+    accepted = on_path & (missed <= LARGEST_MISS) & (turned <= LARGEST_TURN)
+    point = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), reached, state.point)
+
+    remaining = 1.0 - point.fraction
+    step = state.step * _step_factor(missed, accepted, on_path)
+    step = jnp.minimum(jnp.minimum(step, _gentle_step(point, first)), remaining)
+    tries, arrived = state.num_tries + 1.0, accepted & (point.fraction >= 1.0)
+    ended = ~arrived & ((~accepted & ((step < LEAST_STEP) | first)) | (tries >= MAX_TRIES))
+    predicted = _predict(point, jnp.where(ended | arrived, 0.0, step), iterate)
+    here = {"near": arrived & iterate.near, "settled": arrived & iterate.settled}  # at the end it is the iterate itself
+    return _Continuation(
+        point,
+        predicted._replace(**here, change=jnp.where(arrived, iterate.change, 0.0)),
+        step,
+        fraction=jnp.where(step >= remaining, 1.0, point.fraction + step),
+        num_steps=state.num_steps + jnp.where(accepted & ~first, 1.0, 0.0),
+        num_tries=tries,
+        arrived=arrived,
+        ended=ended,
+        resolved=iterate.sane & (accepted | ~first),
+    )
+
+
+def _reached(body: LoadedBody, state: _Continuation) -> tuple[_Point, Flag, Number]:
+    """The equilibrium near an iterate, whether it may lie on the path, and the miss of its prediction, rad."""
+    first, old, iterate = state.num_tries == 0, state.point, state.iterate
+    follows = body.moment_that_follows(iterate.residual_slopes)
+    slope = jax.tree.map(lambda slopes: slopes[-1] + along_moment(slopes, follows), iterate.slopes)
+    slope = slope._replace(moment=follows)
+    half = jnp.where(first, 0.0, 0.5 / jnp.where(first, 1.0, state.fraction - old.fraction))
+    bend = jax.tree.map(lambda new, before: half * (new - before), slope, old.slope)
+    stable = body.is_stable(iterate)
+    new = _Point(state.fraction, iterate.values, slope, bend, iterate.strain, stable)
+    step = state.fraction - old.fraction
+    expected = step * (old.slope.heading + step * old.bend.heading)
+    missed = largest_size(iterate.values.heading - old.values.heading - expected)
+    stays = first | (stable == old.stable) | (state.step <= CRITICAL_STEP)
+    finite = jnp.isfinite(sum(jnp.sum(x) for x in jax.tree.leaves(slope)))
+    return new, iterate.near & finite & stays, jnp.where(first, 0.0, missed)
+
+
+def _step_factor(missed: Number, accepted: Flag, on_path: Flag) -> Number:
+    """The factor on the last step. A prediction misses by the square of the step, as its `bend` is that of the last."""
+    ideal = jnp.sqrt(0.3 * LARGEST_MISS / jnp.maximum(missed, 1e-3))
+    shorter = jnp.where(on_path, jnp.clip(ideal, 0.1, 0.5), 0.25)
+    return jnp.where(accepted, jnp.clip(ideal, 0.3, 4.0), shorter)
+
+
+def _gentle_step(point: _Point, first: Flag) -> Number:
+    """The step, of the loads, in which the body turns as far as it may."""
+    turn = jnp.where(first, FIRST_TURN, 0.8 * LARGEST_TURN)
+    return turn / jnp.maximum(largest_size(point.slope.heading), 0.1 * LARGEST_TURN)
+
+
+def _predict(point: _Point, step: Number, iterate: Iterate) -> Iterate:
+    """The next iterate, to second order in the step; it takes over the slopes of the last one."""
+    slopes = jax.tree.map(lambda x: jnp.where(jnp.isfinite(x), x, 0.0), iterate.slopes)
+    values = jax.tree.map(lambda x, a, b: x + step * (a + step * b), point.values, point.slope, point.bend)
+    return iterate._replace(
+        values=values,
+        slopes=slopes,
+        strain=point.strain,
+        lost=iterate.lost & False,
+        num_iterations=0.0 * iterate.num_iterations,
+    )

@@ -1,0 +1,124 @@
+"""What has to be searched for before a body is in equilibrium: directions of sliding, and the moment at the base.
+
+The search has no derivatives: `balance` gives them to the result, by the implicit function theorem.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from ..mechanics.directions import find_directions, travel_under_tension
+from ..mechanics.friction import PerTendon
+from ..mechanics.problem import Method, Nodal, Number, Problem, lay_out, loaded_to, state_at_nodes
+from ..mechanics.tendon_displacement import tendon_displacement
+from ..numerics.arrays import zero_as
+from ..robot.loads import Loads
+from ..robot.manipulator import Manipulator
+from .continuation import LoadPath, follow_loads
+from .shooting import Flag, LoadedBody
+
+
+class Setup(eqx.Module):
+    """A manipulator, its loads, and the settings of the solve."""
+
+    manipulator: Manipulator
+    direction: PerTendon  # any number for a tendon whose direction is to be found
+    loads: Loads | None
+    method: Method
+    nodes: int = eqx.field(static=True)
+    to_find: tuple[int, ...] = eqx.field(default=(), static=True)  # the tendons whose direction is not stated
+
+    def lay_out(self, base_tension: PerTendon) -> Problem:
+        """The problem under the full loads."""
+        return lay_out(self.manipulator, base_tension, self.direction, self.nodes, self.loads)
+
+    def sliding(self, direction: PerTendon) -> "Setup":
+        """The same with other directions."""
+        return eqx.tree_at(lambda setup: setup.direction, self, direction)
+
+
+class Settled(NamedTuple):
+    """What was found for given base tensions."""
+
+    direction: PerTendon
+    load_path: LoadPath
+    travel: PerTendon  # with which directions are compared, m
+    values: Nodal | None  # the unknowns at the nodes; None without loads
+    strain: Array | None  # the elastic strain there, approximately; None where it has a closed form
+    num_iterations: Number
+    locked: Flag
+    error_amplification: Number  # the factor by which errors along the body grow
+
+
+def place(setup: Setup, base_tension: PerTendon, settled: Settled) -> Problem:
+    """The problem that one march solves. Where the path of the loads ended early, it is under the loads of its end."""
+    problem = setup.sliding(settled.direction).lay_out(base_tension)
+    if setup.loads is None:
+        return problem
+    found = settled.load_path
+    fraction = jnp.where(found.converged, 1.0, found.fraction)
+    return loaded_to(problem, fraction, found.base_moment * problem.moment_scale)
+
+
+def settle(setup: Setup, base_tension: PerTendon) -> Settled:
+    """Find the directions that are not stated, and the moment at the base; without derivatives."""
+    if not setup.to_find:
+        return _as_stated(setup, base_tension)
+
+    def attempt(direction: PerTendon) -> tuple[Settled, PerTendon, Flag]:
+        tried = setup.sliding(direction)
+        settled = _as_stated(tried, base_tension) if setup.loads is not None else _unloaded(tried, base_tension)
+        return settled, settled.travel, settled.load_path.converged
+
+    start = unsettled(setup, base_tension)
+    return find_directions(setup.manipulator, base_tension, start.direction, setup.to_find, attempt, start)
+
+
+def unsettled(setup: Setup, base_tension: PerTendon) -> Settled:
+    """Where `settle` starts: no loads, no friction."""
+    zero = zero_as(setup, base_tension)
+    false, true = zero > 0, zero == 0
+    loaded = setup.loads is not None
+    first = LoadedBody(setup.lay_out(base_tension), setup.method).first(zero) if loaded else None
+    path = LoadPath(
+        base_moment=zero if first is None else first.values.moment,
+        fraction=zero if loaded else zero + 1.0,
+        num_steps=zero,
+        converged=true,
+        stable=true,
+        resolved=true,
+    )
+    values, strain = (None, None) if first is None else (first.values.nodal, first.strain)
+    return Settled(setup.direction + zero, path, base_tension + zero, values, strain, zero, false, zero + 1.0)
+
+
+def _as_stated(setup: Setup, base_tension: PerTendon) -> Settled:
+    """For the directions of the setup; without loads nothing has to be found."""
+    start = unsettled(setup, base_tension)
+    if setup.loads is None:
+        return start
+    body = LoadedBody(setup.lay_out(base_tension), setup.method)
+    path, end = follow_loads(body, start.num_iterations)
+    state = state_at_nodes(body.problem, end.values.nodal, end.strain)
+    travel = travel_under_tension(body.problem, state.pull, body.travel_rate(end, path.fraction))
+    return Settled(
+        direction=start.direction,
+        load_path=path,
+        travel=travel,
+        values=end.values.nodal,
+        strain=end.strain,
+        num_iterations=end.num_iterations,
+        locked=end.locked,
+        error_amplification=body.error_amplification(end),
+    )
+
+
+def _unloaded(setup: Setup, base_tension: PerTendon) -> Settled:
+    """For the directions of the setup, with the travel of the tendons of a body without loads."""
+    problem = setup.lay_out(base_tension)
+    found = setup.method(problem)
+    travel = travel_under_tension(problem, found.nodes.pull, tendon_displacement(problem, found.nodes))
+    start = unsettled(setup, base_tension)
+    return start._replace(travel=travel, load_path=start.load_path._replace(converged=found.converged))

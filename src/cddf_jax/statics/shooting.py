@@ -1,0 +1,232 @@
+"""Shooting for the moment at the base of a loaded body.
+
+Under dead loads the body is an initial-value problem once M_ext(0) is given, and M_ext(L) = m is the equation for
+M_ext(0). The fixed point of the march and Newton's method for M_ext(0) go on together: each iteration marches once,
+with the slopes of all values by M_ext(0), and then takes one Newton step.
+"""
+
+from typing import NamedTuple, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from ..mechanics.friction import PerTendon
+from ..mechanics.problem import (
+    Method,
+    Moment,
+    Nodal,
+    Number,
+    Problem,
+    Solution,
+    loaded_to,
+    nodal,
+    state_at_nodes,
+    unbent,
+    unstrained,
+)
+from ..mechanics.tendon_displacement import tendon_displacement
+from ..numerics.arrays import largest_size, relative_size, varying_as, zero_as
+
+ROUGH = 2e-2  # relative tolerance of the states along the path of the loads
+STEADY = 2e-1  # relative tolerance of the slopes along the path of the loads
+ROUGH_AT_START = 5e-2  # looser at load fraction 0: its state serves the first prediction only
+
+Tree = TypeVar("Tree")
+Flag = Bool[Array, ""]
+
+
+class Values(NamedTuple):
+    """The values of a loaded body. Slopes of them have a leading axis: components of M_ext(0), then loads or tensions."""
+
+    moment: Moment  # M_ext(0) over its scale
+    nodal: Nodal
+    # phi at the nodes and at last at the tip, rad; in space twice the quaternion, whose change is an angle
+    heading: Float[Array, "*points_and_components"]
+
+
+class Iterate(NamedTuple):
+    """One iterate at a load fraction: each iteration brings it nearer to the equilibrium there."""
+
+    values: Values
+    slopes: (
+        Values  # of the march before, for a fixed moment: with respect to M_ext(0), and to the loads or the tensions
+    )
+    residual_slopes: Float[Array, "slopes *components"]  # of M_ext(L) - m over the moment scale
+    strain: Array | None  # the elastic strain, approximately; None where it has a closed form
+    near: Flag  # near enough to the equilibrium to take the next step from here
+    settled: Flag  # in equilibrium
+    locked: Flag  # a tendon locks: its r has become negative and stays so
+    lost: Flag  # locked, no longer finite, or too many iterations
+    sane: Flag  # whether the first iteration was finite
+    num_iterations: Number
+    change: Number  # in the last iteration, relative; 0 before the first one
+
+
+class LoadedBody(NamedTuple):
+    """A body, to be solved at any load fraction and with any moment at its base."""
+
+    problem: Problem
+    method: Method
+
+    def at(self, moment: Moment, fraction: Number, pull: Number) -> Problem:
+        """The problem at a moment over its scale, a load fraction, and a factor on all base tensions."""
+        here = loaded_to(self.problem, fraction, moment * self.problem.moment_scale)
+        return eqx.tree_at(lambda problem: problem.base_tension, here, pull * here.base_tension)
+
+    def first(self, zero: Number) -> Iterate:
+        """The body without friction and loads; `zero` varies over the same devices as all numbers."""
+        problem = self.problem
+        values = unbent(problem)
+        count = max(problem.base_moment.size, 1) + 1
+        points = values.ratio.shape[0] * values.ratio.shape[1] + 1
+        heading = jnp.zeros((points, *np.shape(problem.geometry.upright)))
+        start = varying_as(Values(0.0 * problem.base_moment, values, heading.astype(zero.dtype)), zero)
+        strain = varying_as(unstrained(problem.manipulator, True, values.ratio), zero)
+        slopes = jax.tree.map(lambda x: jnp.zeros((count, *x.shape), x.dtype) + zero, start)
+        none, true = zero > 0, zero == 0
+        return Iterate(start, slopes, slopes.moment, strain, none, none, none, none, true, zero, zero)
+
+    def iterate(self, before: Iterate, fraction: Number, by_loads: Flag) -> Iterate:
+        """One march with its slopes, then one Newton step of M_ext(0); all other values change by their slopes.
+
+        Args:
+            before: the last iterate.
+            fraction: of the loads.
+            by_loads: whether the last slope is that with respect to the load fraction; otherwise it is that with
+                respect to a factor on all base tensions.
+        """
+        found, residual, slopes, residual_slopes, solution = self._march_with_slopes(before, fraction, by_loads)
+        newton, off = _newton_step(self.problem, found.moment, residual, slopes.heading, residual_slopes)
+        # where the march is less accurate than the residual is large, the residual may be an error of the march
+        inaccurate = (solution.residual > magnitude(residual)) & ~solution.converged
+        step = jnp.where(inaccurate, 0.0, newton)
+        moved = jax.tree.map(lambda x, slope: x + along_moment(slope, step), found, slopes)
+        sane = jnp.isfinite(magnitude(newton)) & jnp.isfinite(solution.residual) & ~solution.locked
+        changed = relative_size(residual_slopes - before.residual_slopes, residual_slopes)
+        exact = jnp.maximum(off, changed) <= 2 * _round_off(off) ** 0.5
+        settled = sane & solution.converged & exact
+        rough = jnp.maximum(off, solution.residual), jnp.where(fraction == 0, ROUGH_AT_START, ROUGH)
+        near = sane & self._is_near(before, slopes, residual_slopes, *rough)
+        return Iterate(
+            values=moved._replace(moment=found.moment + step),
+            slopes=slopes,
+            residual_slopes=residual_slopes,
+            strain=solution.nodes.strain,
+            near=settled | near,
+            settled=settled,
+            locked=solution.locked,
+            lost=~sane | (before.num_iterations + 1 >= self.method.max_iterations),
+            sane=jnp.where(before.num_iterations == 0, sane, before.sane),
+            num_iterations=before.num_iterations + 1.0,
+            change=solution.residual,
+        )
+
+    def _march_with_slopes(
+        self, before: Iterate, fraction: Number, by_loads: Flag
+    ) -> tuple[Values, Moment, Values, Array, Solution]:
+        """The values after one march and M_ext(L) - m, the slopes of both, and the march itself."""
+        one, moment = jnp.ones_like(before.change), before.values.moment
+
+        def flow(guess: Nodal, moment: Moment, fraction: Number, pull: Number):
+            here = self.at(moment, fraction, pull)
+            solution = self.method.improve(here, guess, before.strain, before.change)
+            values = Values(moment, nodal(here, solution.nodes), headings(here, solution))
+            return (values._replace(moment=0.0 * moment), moment_left_at_tip(here, solution)), solution
+
+        def push(*tangents):
+            at = before.values.nodal, moment, fraction, one
+            return jax.jvp(flow, at, tangents, has_aux=True)
+
+        count = max(moment.size, 1)
+        units, last = np.eye(count + 1, count).reshape(count + 1, *moment.shape), np.eye(count + 1)[-1]
+        second, zero = jnp.where(by_loads, one, 0.0), zero_as(moment, fraction)
+        last = jnp.asarray(last, one.dtype)
+        seeds = before.slopes.nodal, zero + jnp.asarray(units, one.dtype), second * last, (one - second) * last
+        (values, residual), (slopes, by), solution = jax.vmap(push, out_axes=(None, 0, None))(*seeds)
+        return values._replace(moment=moment), residual, slopes, by, solution
+
+    def _is_near(self, before: Iterate, slopes: Values, residual_slopes: Array, off: Number, rough: Number) -> Flag:
+        """Whether values, slopes and stability are known well enough to predict the next step."""
+        slope = self.problem.geometry.steepness(residual_slopes)
+        enough = rough * jnp.minimum(1.0, slope)  # the sign of the slope must be known
+        drift = residual_slopes - before.residual_slopes
+        steady = magnitude(drift[:-1]) <= STEADY * slope
+        steady &= relative_size(drift, residual_slopes) <= STEADY
+        if self.problem.geometry.has_frames:  # where stability follows from the turns
+            turns, last = slopes.heading[:-1], before.slopes.heading[:-1]
+            steady &= relative_size(turns - last, turns) <= STEADY
+        return (off <= enough) & steady
+
+    def is_stable(self, iterate: Iterate) -> Flag:
+        """Whether the smallest eigenvalue of the tangent is positive: no conjugate point along the body."""
+        slopes, by = iterate.slopes.heading[:-1], iterate.residual_slopes[:-1]
+        return self.problem.geometry.is_stable(slopes, iterate.values.heading, by)
+
+    def error_amplification(self, iterate: Iterate) -> Number:
+        """The factor by which local errors along the body grow in the equilibrium.
+
+        A local error causes a residual moment at the tip. A change of M_ext(0) removes it, and turns the whole body.
+        Where errors grow exponentially along the body, an error in the middle grows by the square root of the factor
+        for an error at the base.
+        """
+        turned, least = largest_size(iterate.slopes.heading[:-1]), jnp.finfo(iterate.change.dtype).eps
+        corrected = turned / jnp.maximum(self.problem.geometry.steepness(iterate.residual_slopes), least)
+        return jnp.maximum(corrected, jnp.sqrt(jnp.maximum(turned, 1.0)))
+
+    def moment_that_follows(self, residual_slopes: Float[Array, "slopes *components"]) -> Moment:
+        """The derivative of M_ext(0) with respect to the loads or the tensions at which M_ext(L) stays m."""
+        last = residual_slopes[-1]
+        follows = -self.problem.geometry.moment_for(residual_slopes[:-1], last)
+        return jnp.where(magnitude(last) == 0, 0.0, follows)
+
+    def travel_rate(self, iterate: Iterate, fraction: Number) -> PerTendon:
+        """The rate, m, at which tendons slide in while all base tensions rise in proportion."""
+
+        def displacement(guess: Nodal, moment: Moment, pull: Number) -> PerTendon:
+            here = self.at(moment, fraction, pull)
+            return tendon_displacement(here, state_at_nodes(here, guess, iterate.strain))
+
+        one, values = jnp.ones_like(iterate.change), iterate.values
+        follows = self.moment_that_follows(iterate.residual_slopes)
+        moved = jax.tree.map(lambda slopes: slopes[-1] + along_moment(slopes, follows), iterate.slopes.nodal)
+        return jax.jvp(displacement, (values.nodal, values.moment, one), (moved, follows, one))[1]
+
+
+def headings(problem: Problem, solution: Solution) -> Array:
+    """The headings at the nodes and at last at the tip, as `Values` hold them."""
+    tip = solution.tip.heading
+    row = jnp.concatenate([solution.nodes.heading.reshape(-1, *tip.shape), tip[None]])
+    return 2.0 * row if problem.geometry.has_frames else row
+
+
+def along_moment(slopes: Array, change: Moment) -> Array:
+    """The change of numbers with these slopes by a change of M_ext(0), over its scale."""
+    return change * slopes[0] if change.ndim == 0 else jnp.tensordot(change, slopes[:-1], 1)
+
+
+def magnitude(moment: Array) -> Number:
+    """The largest component."""
+    return jnp.abs(moment) if moment.ndim == 0 else largest_size(moment)
+
+
+def moment_left_at_tip(problem: Problem, solution: Solution) -> Moment:
+    """M_ext(L) - m over the moment scale."""
+    return (solution.tip.moment - problem.outboard.tip_moment) / problem.moment_scale
+
+
+def _round_off(x: Array) -> float:
+    return 4 * float(jnp.finfo(x.dtype).eps)
+
+
+def _newton_step(
+    problem: Problem, moment: Moment, residual: Moment, turned: Array, slopes: Array
+) -> tuple[Moment, Number]:
+    """The Newton step of M_ext(0), and the largest angle by which it turns the body, rad."""
+    exact = magnitude(residual) <= _round_off(residual)  # also where its slope vanishes
+    step = jnp.where(exact, 0.0, -problem.geometry.moment_for(slopes[:-1], residual))
+    size, length = 1 + magnitude(moment), magnitude(step)
+    angle = length * jnp.maximum(1 / size, largest_size(turned[:-1]))
+    return step, jnp.where(length <= _round_off(step) * size, 0.0, angle)  # less than rounding

@@ -1,0 +1,113 @@
+"""Elements: integrals and polynomials against closed forms and SciPy."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.polynomial import Polynomial
+from numpy.testing import assert_allclose
+from scipy.integrate import quad
+
+from cddf_jax.numerics.elements import Elements, elements_between, joints, totals, totals_of_length, totals_of_magnitude
+
+CUT = Elements.between(jnp.array([0.0, 0.3, 0.3, 1.0]), 6)  # the one in the middle is empty
+CURVE = Polynomial([0.3, -2.0, 1.0, 4.0, -1.0, 0.5])  # of degree 5, exact on 6 nodes
+
+
+def test_integrals_at_nodes_and_edges_are_those_of_the_polynomial():
+    edges, nodes = CUT.integrate(jnp.stack([CURVE(CUT.nodes), 2 * CURVE(CUT.nodes)], axis=-1))
+    assert_allclose(edges, np.stack([CURVE.integ()(CUT.edges), 2 * CURVE.integ()(CUT.edges)], axis=-1), atol=1e-14)
+    assert_allclose(nodes[..., 1], 2 * CURVE.integ()(CUT.nodes), atol=1e-14)
+
+
+def test_the_rule_of_the_check_finds_what_the_nodes_miss():
+    """Cos(9 x) from 0 to 1 by 6 nodes and by 9: the difference is the error of the first to 1e-9 of it or better."""
+    element = Elements.between(jnp.array([0.0, 1.0]), 6)
+    missed = np.sin(9.0) / 9 - element.gain(jnp.cos(9 * element.nodes))[0]
+    finer = Elements.between(jnp.array([0.0, 1.0]), 9)
+    assert abs(missed) > 1e-7
+    found = finer.gain(jnp.cos(9 * finer.nodes))[0] - element.gain(jnp.cos(9 * element.nodes))[0]
+    assert_allclose(found, missed, rtol=1e-4)
+
+
+def test_elements_of_equal_width_between_joints():
+    """By hand: two pieces of 40 nodes each, in elements of at most 16; a breakpoint beyond the body lies at its end."""
+    ends = joints(jnp.asarray(1.0), jnp.array([0.25, 7.0]))
+    assert_allclose(ends, [0.0, 0.25, 1.0, 1.0])
+    cut = elements_between(ends[:3], 40)
+    assert cut.order == 14
+    assert_allclose(cut.edges, [0.0, 0.25 / 3, 0.5 / 3, 0.25, 0.5, 0.75, 1.0], rtol=1e-14)
+    assert elements_between(ends, 16, 4).nodes.shape == (12, 4)
+
+
+# --- the magnitude of what changes its sign --------------------------------------------------------
+
+ONE = Elements.between(jnp.array([0.0, 0.2]), 8)
+
+
+def integrals(function, *kinks):
+    """From 0 to each node and to the end of `ONE`, by SciPy."""
+    ends = [*np.asarray(ONE.nodes[0]), 0.2]
+    options = {"epsabs": 1e-14, "epsrel": 1e-13, "limit": 300}
+    return [quad(function, 0.0, end, points=[x for x in kinks if x < end] or None, **options)[0] for end in ends]
+
+
+@pytest.mark.parametrize("root", [0.0003, 0.05, 0.123, float(ONE.nodes[0, 3]), 0.19999])
+def test_the_magnitude_of_a_rate_with_one_root(root):
+    """Of sin(7 (x - root)), between nodes, at a node, and near the ends."""
+
+    def rate(x):
+        return np.sin(7 * (x - root))
+
+    nodes, end = totals_of_magnitude(ONE.width[0], rate(ONE.nodes[0]))
+    assert_allclose([*nodes, end], integrals(lambda x: abs(rate(x)), root), atol=2e-10)
+
+
+def test_the_magnitude_of_a_rate_with_two_roots():
+    def rate(x):
+        return (x - 0.05) * (x - 0.13) * np.exp(x)
+
+    nodes, end = totals_of_magnitude(ONE.width[0], rate(ONE.nodes[0]))
+    assert_allclose([*nodes, end], integrals(lambda x: abs(rate(x)), 0.05, 0.13), atol=1e-9)
+
+
+def test_the_magnitude_of_a_rate_of_one_sign_is_the_integral():
+    rates = jnp.stack([jnp.exp(ONE.nodes[0]), -jnp.cos(ONE.nodes[0])], axis=-1)
+    for found, expected in zip(
+        totals_of_magnitude(ONE.width[0], rates), totals(ONE.width[0], jnp.abs(rates)), strict=True
+    ):
+        assert_allclose(found, expected, rtol=1e-14)
+
+
+def test_derivatives_of_the_magnitude_by_the_root():
+    """The integral of |x - a| over [0, w] is (a^2 + (w - a)^2) / 2: slope 2 a - w and curvature 2."""
+
+    def total(a):
+        return totals_of_magnitude(ONE.width[0], ONE.nodes[0] - a)[1]
+
+    assert_allclose(jax.grad(total)(0.07), 2 * 0.07 - 0.2, rtol=1e-12)
+    assert_allclose(jax.jacfwd(jax.grad(total))(0.07), 2.0, rtol=1e-12)
+
+
+@pytest.mark.parametrize("distance", [3.0, 0.3, 0.03, 1e-3, 0.0])
+@pytest.mark.parametrize("place", [0.06, 0.1234])
+def test_the_length_of_a_vector_that_passes_near_zero(distance, place):
+    """From a smooth minimum to a kink."""
+
+    def vector(x):
+        return np.stack([0.1 * distance * np.cos(x), np.sin(3 * (x - place)), (x - place) ** 2], axis=-1)
+
+    nodes, end = totals_of_length(ONE.width[0], vector(ONE.nodes[0]))
+    assert_allclose([*nodes, end], integrals(lambda x: np.linalg.norm(vector(x)), place), atol=2e-10)
+
+
+def test_derivatives_of_the_length_of_a_vector():
+    """The integral of sqrt(a^2 + x^2) over [0, w] has the slope a asinh(w / a) by a."""
+
+    def total(a):
+        vectors = jnp.stack([jnp.full(8, a), ONE.nodes[0], jnp.zeros(8)], axis=-1)
+        return totals_of_length(ONE.width[0], vectors)[1]
+
+    for a in (0.3, 0.02):
+        assert_allclose(jax.grad(total)(a), a * np.arcsinh(0.2 / a), rtol=1e-6)
+    assert np.isfinite(jax.grad(total)(0.0))
