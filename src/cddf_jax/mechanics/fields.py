@@ -98,9 +98,8 @@ def planar_fields(
     """The fields at one cross-section in the plane, tendons last."""
     tension = tension_of(section, base_tension, state.pull)
     kappa = bending.curvature(section, tension, state.moment, state.strain)
-    rate = bending.rates(
-        section, kappa, tension, direction, PLANE.moment_rate(PLANE.axis(state.heading, kappa), state.force)
-    )
+    moment_rate = PLANE.moment_rate(PLANE.axis(state.heading, kappa), state.force)
+    rate = bending.rates(section, kappa, tension, direction, moment_rate)
     forces = bending.distributed_forces(section, state.heading, kappa, tension, direction, rate)
     return Fields(
         arc_length, kappa, state.heading, state.position, tension, state.wrap_angle, forces.normal, forces.friction

@@ -7,7 +7,7 @@ the shape from the last unknowns, and new unknowns from that shape. With one unl
 depend on r, see `Problem.is_quadrature`, and one iteration is exact.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -47,8 +47,8 @@ class Part(NamedTuple):
     width: Float[Array, " P"]
     section: AnySection  # at the nodes
     joint: Joints | None  # at its start
-    force_at_start: Array | None  # N, newtons; None in space without loads
-    force: Array | None  # likewise at the nodes
+    force_at_start: Any  # N, newtons; None in space without loads
+    force: Any  # likewise at the nodes
     guess: Nodal  # the unknowns of the iteration before
     strain: Array | None  # the elastic strain there, approximately; None where it has a closed form
 
@@ -106,31 +106,21 @@ def _along_element(problem: Problem, start: State, part: Part) -> tuple[State, S
     tension = tension_of(section, problem.base_tension, Pull(guess.ratio, spent[0]))
     acting = guess.frame, _moments(problem, guess), part.force, part.strain
     strain = jax.vmap(geometry.strain)(section, tension, *acting)
-    heading, axis, rate = _headings(problem, start, part, strain)
-    turning = geometry.turning(width, section, strain, tension, problem.direction, rate)
-    growth = geometry.totals_of_turning(width, turning, ratio_factor(section, guess.ratio), problem.reverses)
-    wrap = moment = position = (None, None)
-    if start.wrap_angle is not None:
-        wrap = geometry.totals_of_turning(width, turning, jnp.ones_like(guess.ratio), problem.reverses)
-        wrap = [start.wrap_angle + more for more in wrap]
-    moment = _onwards(start.moment, width, jnp.zeros_like(acting[1]) if rate is None else rate)
+    heading, axis, moment_rate = _headings(problem, start, part, strain)
+    turning = geometry.turning(width, section, strain, tension, problem.direction, moment_rate)
+    growth, wrap = _turned(problem, start, part, turning)
+    moment = _onwards(start.moment, width, jnp.zeros_like(acting[1]) if moment_rate is None else moment_rate)
     position = _onwards(start.position, width, axis)
-    nodes, end = (
-        State(
-            Pull(start.ratio + problem.direction * growth[i], spent[i]),
-            heading[i],
-            moment[i],
-            None,
-            None,
-            wrap[i],
-            position[i],
-        )
-        for i in range(2)
-    )
+    ratio = [start.ratio + problem.direction * each for each in growth]
+    rows = zip(map(Pull, ratio, spent), heading, moment, wrap, position, strict=True)
+    nodes, end = (State(pull, phi, m, None, None, theta, place) for pull, phi, m, theta, place in rows)
     return nodes, end, jax.vmap(geometry.elastic)(section, strain)
 
 
-def _onwards(start: Array | None, width: Number, rate: Array | None) -> tuple[Array | None, Array | None]:
+Both = tuple[Array | None, Array | None]  # a value at the nodes of an element, and at its end
+
+
+def _onwards(start: Array | None, width: Number, rate: Array | None) -> Both:
     """A value at the nodes and at the end of an element, from that at its start and its rate at the nodes."""
     if start is None or rate is None:
         return None, None
@@ -138,14 +128,23 @@ def _onwards(start: Array | None, width: Number, rate: Array | None) -> tuple[Ar
     return start + nodes, start + end
 
 
-def _headings(problem: Problem, start: State, part: Part, strain: Array) -> tuple[tuple, Array | None, Array | None]:
-    """The heading at the nodes and the end of an element; the axis t and M_ext' at the nodes. With the new headings
-    the iteration converges faster."""
+def _headings(problem: Problem, start: State, part: Part, strain: Array) -> tuple[Both, Array | None, Array | None]:
+    """The headings of an element; the axis t and M_ext' at its nodes, which follow from the new headings."""
     if start.heading is None:
         return (None, None), None, None
     heading = problem.geometry.bend(part.width, strain, part.guess.frame, start.heading)
     axis = problem.geometry.axis(heading[0], strain)
     return heading, axis, None if problem.loads is None else problem.geometry.moment_rate(axis, part.force)
+
+
+def _turned(problem: Problem, start: State, part: Part, turning: Array) -> tuple[tuple[Array, Array], Both]:
+    """The gains of r, over the direction, and the wrap angle where it is asked for."""
+    integrate, ratio = problem.geometry.totals_of_turning, part.guess.ratio
+    growth = integrate(part.width, turning, ratio_factor(part.section, ratio), problem.reverses)
+    if start.wrap_angle is None:
+        return growth, (None, None)
+    nodes, end = integrate(part.width, turning, jnp.ones_like(ratio), problem.reverses)
+    return growth, (start.wrap_angle + nodes, start.wrap_angle + end)
 
 
 def _moments(problem: Problem, guess: Nodal) -> Float[Array, "p *components"]:

@@ -7,7 +7,7 @@ in T' = -direction (mu theta' T + w). Both r and c stay regular where T is zero.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -101,12 +101,12 @@ class State(NamedTuple):
     """All values that are integrated along the body; leading axes may be elements and nodes."""
 
     pull: Pull
-    heading: Heading
-    moment: Float[Array, "..."]  # M_ext, N m, in the fixed frame
-    force: Float[Array, "*points components"] | None  # force N, newtons; None in space without loads
+    heading: Any  # a `Heading`; during the march None in space without loads
+    moment: Any  # M_ext, N m, in the fixed frame
+    force: Any  # N, newtons, (*points, components); None in space without loads
     strain: Float[Array, "*points_and_strains"] | None  # the elastic strain, approximately; see `unstrained`
-    wrap_angle: Float[Array, "*points tendons"] | None = None  # theta, rad; None before the last iteration
-    position: Float[Array, "*points components"] | None = None  # u, m; likewise
+    wrap_angle: Any = None  # theta, rad, (*points, tendons); None before the last iteration
+    position: Any = None  # u, m, (*points, components); likewise
 
     @property
     def ratio(self) -> Float[Array, "*points tendons"]:

@@ -42,7 +42,7 @@ def _gains(problem: Problem, solution: Solution) -> Float[Array, "P values"]:
 
     def scaled(state: State) -> Float[Array, " values"]:
         ratio, scale = state.ratio / solution.tip.ratio, spent_scale(problem, solution.tip.pull)
-        spent = [] if scale is None else [state.pull.spent / scale]
+        spent = [] if scale is None or state.pull.spent is None else [state.pull.spent / scale]
         turned = (2.0 if problem.geometry.has_frames else 1.0) * state.heading  # half an angle stands in a quaternion
         parts = ratio, *spent, turned, state.position / problem.elements.edges[-1], state.moment / problem.moment_scale
         return jnp.concatenate([jnp.atleast_1d(part) for part in parts])

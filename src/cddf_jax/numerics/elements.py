@@ -100,7 +100,7 @@ def totals_of_magnitude(
     with the root to first order; the last step of Newton's method gives the root its derivatives of any order.
     """
     rule = gauss_rule(rate.shape[0])
-    step = np.diff(rule.points).reshape(-1, *[1] * (rate.ndim - 1))
+    step = jnp.asarray(np.diff(rule.points).reshape(-1, *[1] * (rate.ndim - 1)), rate.dtype)
     value, slope = times(rule.at_points, rate), times(rule.slopes, rate)
     gain = times(np.diff(rule.totals, axis=0, prepend=0.0), rate)
     a, b, c, d = cubic = _hermite(value, slope, step)
@@ -132,7 +132,7 @@ def totals_of_length(
     cubic through values and slopes at the ends of the sub-interval, see `_missed`.
     """
     rule = gauss_rule(rate.shape[0])
-    step = np.diff(rule.points).reshape(-1, *[1] * (rate.ndim - 2))
+    step = jnp.asarray(np.diff(rule.points).reshape(-1, *[1] * (rate.ndim - 2)), rate.dtype)
     points, slopes = times(rule.at_points, rate), times(rule.slopes, rate)
     weights = legendre.leggauss(POINTS_BETWEEN)[1] / 2
     inner = length_of(times(rule.inner.reshape(-1, len(rule.nodes)), rate))
@@ -143,7 +143,7 @@ def totals_of_length(
     return sums[:-1], sums[-1]
 
 
-def _hermite(value: Array, slope: Array, step: np.ndarray) -> tuple[Array, Array, Array, Array]:
+def _hermite(value: Array, slope: Array, step: Array) -> tuple[Array, Array, Array, Array]:
     """The coefficients of the cubics through values and slopes at neighbouring points, over widths of 1."""
     start, end, rise = value[:-1], step * slope[:-1], value[1:] - value[:-1]
     last = step * slope[1:]
@@ -279,7 +279,8 @@ class Elements(eqx.Module):
         At a node, derivatives with respect to the point are wrong.
         """
         apart = place - jnp.asarray(self.rule.nodes, place.dtype)
-        terms = self.rule.barycentric / jnp.where(apart == 0, jnp.finfo(apart.dtype).tiny ** 0.5, apart)
+        safe = jnp.where(apart == 0, jnp.finfo(apart.dtype).tiny ** 0.5, apart)
+        terms = jnp.asarray(self.rule.barycentric, apart.dtype) / safe
         return terms / jnp.sum(terms)
 
     def _along(self, values: Float[Array, "P p *k"], widths: Float[Array, " P"]) -> Float[Array, "P *_"]:

@@ -39,7 +39,7 @@ Flag = Bool[Array, ""]
 
 
 class Values(NamedTuple):
-    """The values of a loaded body. Slopes of them have a leading axis: components of M_ext(0), then loads or tensions."""
+    """The values of a loaded body. Slopes have a leading axis: by components of M_ext(0), then loads or tensions."""
 
     moment: Moment  # M_ext(0) over its scale
     nodal: Nodal
@@ -150,7 +150,7 @@ class LoadedBody(NamedTuple):
 
     def _is_near(self, before: Iterate, slopes: Values, residual_slopes: Array, off: Number, rough: Number) -> Flag:
         """Whether values, slopes and stability are known well enough to predict the next step."""
-        slope = self.problem.geometry.steepness(residual_slopes)
+        slope = self.problem.geometry.steepness(residual_slopes[:-1])
         enough = rough * jnp.minimum(1.0, slope)  # the sign of the slope must be known
         drift = residual_slopes - before.residual_slopes
         steady = magnitude(drift[:-1]) <= STEADY * slope
@@ -173,7 +173,7 @@ class LoadedBody(NamedTuple):
         for an error at the base.
         """
         turned, least = largest_size(iterate.slopes.heading[:-1]), jnp.finfo(iterate.change.dtype).eps
-        corrected = turned / jnp.maximum(self.problem.geometry.steepness(iterate.residual_slopes), least)
+        corrected = turned / jnp.maximum(self.problem.geometry.steepness(iterate.residual_slopes[:-1]), least)
         return jnp.maximum(corrected, jnp.sqrt(jnp.maximum(turned, 1.0)))
 
     def moment_that_follows(self, residual_slopes: Float[Array, "slopes *components"]) -> Moment:
