@@ -24,7 +24,6 @@ from table import report
 
 import cddf_jax as cddf
 from cddf_jax.files.writing import as_json
-from cddf_jax.statics.equilibrium import RESULT_NAMES, code_of
 
 FROZEN = Path(__file__).with_suffix(".json")
 
@@ -156,7 +155,7 @@ def answer(case: Case, nodes: int) -> dict[str, Any]:
     )
     found, forward, reverse, second = jax.device_get(_everything(arrays, nodes))
     return {
-        "result": RESULT_NAMES[int(code_of(found.result))],
+        "result": cddf.Status(int(found.status)).name,
         "stable": bool(found.stable),
         "error_estimate": float(found.error_estimate),
         "tip_tension": found.tip_tension.tolist(),
