@@ -21,7 +21,7 @@ def test_codes_and_words():
 
 
 def test_the_first_case_counts():
-    x = jnp.arange(4)
+    x = jnp.arange(4, dtype=jnp.int32)
     status = jax.jit(lambda x: first_of((x > 2, cddf.Status.locked), (x > 1, x), (x > 0, cddf.Status.slack)))(x)
     assert codes(status) == [0, cddf.Status.slack, 2, cddf.Status.locked]
     assert status.dtype == np.int32
