@@ -58,7 +58,7 @@ def steps(monkeypatch):
 
 def test_the_loop_is_that_of_the_table(found):
     """hysteresis.md section 2, 40 N on the way back from 75 N: tip tension, angle and front to its digits."""
-    assert found.status == cddf.Status.successful
+    assert found.state.status == cddf.Status.successful
     assert found.rows.base_tension[0] == 75.0
     assert found.rows.tip_tension[-1] == pytest.approx(45.122927, abs=6e-7)
     assert np.degrees(found.rows.tip_angle[-1]) == pytest.approx(56.053731, abs=6e-7)
