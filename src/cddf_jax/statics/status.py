@@ -1,7 +1,7 @@
 """How a solve ended: a whole number with a name and words."""
 
 from enum import IntEnum
-from typing import Self, SupportsInt
+from typing import SupportsInt
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,7 +14,7 @@ class Status(IntEnum):
     _value_: int
     words: str
 
-    def __new__(cls, code: int, words: str) -> Self:
+    def __new__(cls, code: int, words: str) -> "Status":
         """A member, which is its code."""
         member = int.__new__(cls, code)
         member._value_, member.words = code, words
