@@ -24,7 +24,6 @@ from table import report
 
 import cddf_jax as cddf
 from cddf_jax.files.writing import as_json
-from cddf_jax.statics.equilibrium import RESULT_NAMES, code_of
 
 FROZEN = Path(__file__).with_suffix(".json")
 
@@ -156,7 +155,7 @@ def answer(case: Case, nodes: int) -> dict[str, Any]:
     )
     found, forward, reverse, second = jax.device_get(_everything(arrays, nodes))
     return {
-        "result": RESULT_NAMES[int(code_of(found.result))],
+        "result": cddf.Status(int(found.status)).name,
         "stable": bool(found.stable),
         "error_estimate": float(found.error_estimate),
         "tip_tension": found.tip_tension.tolist(),
@@ -200,8 +199,11 @@ def main() -> None:
     parser.add_argument("--only", default="", help="cases whose names contain this text")
     wanted = parser.parse_args()
     chosen = {name: case for name, case in cases().items() if wanted.only in name}
-    now = {name: answer(case, wanted.nodes) for name, case in chosen.items()}
     frozen = json.loads(FROZEN.read_text()) if FROZEN.exists() else {}
+    now = {}
+    for name, case in chosen.items():
+        now[name] = answer(case, wanted.nodes)
+        print(row(name, now[name], frozen.get(name)), flush=True)
     if wanted.freeze:
         frozen |= now
         FROZEN.write_text(as_json(frozen))

@@ -18,7 +18,7 @@ from table import report
 
 import cddf_jax as cddf
 
-OUTPUTS = "tip_tension", "tip_position", "result", "error_estimate"
+OUTPUTS = "tip_tension", "tip_position", "status", "error_estimate"
 OF_TRACES = "tip_tension", "tip_position", "front", "error_estimate"
 TIP_FORCE = cddf.Loads(tip_force=(0.0, -1.0))
 IN_SPACE = cddf.Loads(tip_force=(0.0, -1.0, 0.5))

@@ -20,7 +20,6 @@ from table import report
 
 import cddf_jax as cddf
 from cddf_jax.application import configure_jax_for_batches
-from cddf_jax.statics.equilibrium import code_of
 
 COUNT, CHUNK = 102_400, 1_280
 STEPS, FEWER = (8, 16, 32), (5, 6, 8)  # of RK4; nodes beside the default of 16
@@ -50,11 +49,11 @@ def tip(robot: cddf.Manipulator, nodes: int) -> Callable[..., Any]:
 
 
 def judged(robot: cddf.Manipulator) -> Callable[..., Any]:
-    """The same, with the error estimate and the code of the result."""
+    """The same, with the error estimate and the status."""
 
     def at(*tensions):
         found = cddf.solve(robot, jnp.stack(tensions), direction=1.0, throw=False)
-        return found.tip_tension, found.tip_position, found.error_estimate[None], code_of(found.result)[None]
+        return found.tip_tension, found.tip_position, found.error_estimate[None], found.status[None]
 
     return at
 

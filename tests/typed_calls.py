@@ -54,7 +54,8 @@ def statics():
     )
     cddf.solve(robot, 20.0, method=cddf.FixedPoint(tolerance=1e-8), nodes=8)
     cddf.solve(robot, 20.0, method=cddf.LiteralIteration(1e-6), nodes=8)
-    print(eq, eq.remarks, eq.at(0.07).tension, eq.peak_strain, cddf.RESULTS[eq.result], sep="\n", file=sys.stderr)
+    print(eq, eq.remarks, eq.at(0.07).tension, eq.peak_strain, cddf.in_words(eq.status), sep="\n", file=sys.stderr)
+    assert eq.status == cddf.Status.successful
     cddf.iteration_history(robot, 20.0, nodes=8)
     cddf.closed_form_tension(robot, 20.0, 0.14)
     cddf.pulling_tension(10.0, 1.0, 0.42)

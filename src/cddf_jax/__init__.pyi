@@ -55,7 +55,7 @@ from .robot.loads import Loads as Loads
 from .robot.manipulator import Manipulator as Manipulator, PointMass as PointMass, Tendon as Tendon, conical as conical
 from .robot.profiles import Constant as Constant, Linear as Linear, Piecewise as Piecewise, Spline as Spline
 from .statics.contact import Contact as Contact, self_contact as self_contact
-from .statics.equilibrium import RESULTS as RESULTS, Equilibrium as Equilibrium
+from .statics.equilibrium import Equilibrium as Equilibrium
 from .statics.literal_iteration import (
     IterationHistory as IterationHistory,
     LiteralIteration as LiteralIteration,
@@ -69,6 +69,7 @@ from .statics.response import (
     tip_jacobian as tip_jacobian,
 )
 from .statics.solve import solve as solve
+from .statics.status import Status as Status, in_words as in_words
 from .statics.targets import (
     CurvatureAt as CurvatureAt,
     Displacement as Displacement,

@@ -50,7 +50,7 @@ def within(place: str | os.PathLike[str], kind: type[ValueError] = InputError) -
 
 
 class SolveError(RuntimeError):
-    """A solve failed; the message is that of its result."""
+    """A solve failed; the message is that of its status."""
 
 
 def needed(package: str, extra: str = "sweep") -> ModuleType:

@@ -112,7 +112,7 @@ def test_loads_in_json_are_what_the_library_says(answer_of, heavy):
     answer = answer_of("solve", heavy, *PULL, *LOADS)
     loads = cddf.Loads(tip_force=(0.0, -5.0), tip_moment=0.1, gravity=(0.0, -9.81))
     equilibrium = cddf.solve(paper_body("exact", density=1070.0), [75.0], loads, direction=[1])
-    assert (answer.pop("result"), equilibrium.result == cddf.RESULTS.successful) == ("successful", True)
+    assert (answer.pop("result"), equilibrium.status == cddf.Status.successful) == ("successful", True)
     assert (answer.pop("remarks"), answer.pop("self_contact")) == ([], None)
     assert answer.pop("loads") == {"tip_force": [0.0, -5.0], "tip_moment": 0.1, "gravity": [0.0, -9.81]}
     for name in answer:

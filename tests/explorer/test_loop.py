@@ -16,7 +16,6 @@ from cddf_jax.explorer.model import Exploration
 from cddf_jax.explorer.plots import BodyPlot, TensionPlots
 from cddf_jax.explorer.space import SpacePlot
 from cddf_jax.explorer.words import loop_html
-from cddf_jax.statics.equilibrium import RESULTS, code_of
 
 THREE = DATA / "three_tendons_made_up.toml"
 TOGETHER = ({SECOND: 20.0}, FORGET)  # both tendons are pulled at once, to 75 and 20 N
@@ -59,7 +58,7 @@ def steps(monkeypatch):
 
 def test_the_loop_is_that_of_the_table(found):
     """hysteresis.md section 2, 40 N on the way back from 75 N: tip tension, angle and front to its digits."""
-    assert found.result == RESULTS.successful
+    assert found.state.status == cddf.Status.successful
     assert found.rows.base_tension[0] == 75.0
     assert found.rows.tip_tension[-1] == pytest.approx(45.122927, abs=6e-7)
     assert np.degrees(found.rows.tip_angle[-1]) == pytest.approx(56.053731, abs=6e-7)
@@ -260,30 +259,30 @@ def test_the_button_forgets(pair):
     assert len(PastPart(Exploration(cddf.read_manipulator(THREE)), list).parts) == 1  # nothing is remembered there
 
 
-def made_up(result, second=20.0):
-    """A loop of two tendons with a result, tendon 2 pulled at its base."""
-    state = EndState(np.full(2, 0.14), np.asarray(0.2), code_of(result), np.zeros((3, 2)))
+def made_up(status, second=20.0):
+    """A loop of two tendons with a status, tendon 2 pulled at its base."""
+    state = EndState(np.full(2, 0.14), np.asarray(0.2), np.asarray(status), np.zeros((3, 2)))
     return Loop(Rows(np.array([[75.0, second]]), np.array([[10.0, 5.0]]), np.ones(1)), state, 1, False)
 
 
 def test_numbers_that_cannot_be_relied_on_say_so():
-    text = loop_html(made_up(RESULTS.inaccurate))
+    text = loop_html(made_up(cddf.Status.inaccurate))
     assert text.startswith("<p>Do not rely on the numbers with their past: their error estimate is large. ")
     assert "its friction is not determined" not in text
-    assert "its friction is not determined" in loop_html(made_up(RESULTS.inaccurate, second=0.0))
+    assert "its friction is not determined" in loop_html(made_up(cddf.Status.inaccurate, second=0.0))
     assert '"past_error_estimate">2.0e-01<' in text
-    lost = made_up(RESULTS.not_converged)
+    lost = made_up(cddf.Status.not_converged)
     assert not lost.shown
     assert loop_html(lost) == (
         "<p>The past is lost: a step of this move did not settle. Forget the past to start again.</p>"
     )
-    assert "There is no answer with this past: " in loop_html(made_up(RESULTS.crossing))
+    assert "There is no answer with this past: " in loop_html(made_up(cddf.Status.crossing))
 
 
 def test_figures_follow_the_tension_that_moves():
     """Tendon 2 at 5, 5, 6 and 7 N: the loop is drawn from where it began to move."""
     base = np.array([[9.0, 5.0], [8.0, 5.0], [8.0, 6.0], [8.0, 7.0]])
-    state = EndState(np.full(2, 0.14), np.asarray(0.0), code_of(RESULTS.successful), np.zeros((3, 2)))
+    state = EndState(np.full(2, 0.14), np.asarray(0.0), cddf.Status.successful, np.zeros((3, 2)))
     loop = Loop(Rows(base, base + 1.0, np.radians([1.0, 2.0, 3.0, 4.0])), state, 1, False)
     columns = {"base_tension": [20.0, 40.0], "base_tension_2": [5.0, 10.0], "tip_angle": [0.1, 0.2]}
     table = cddf.Measurements.from_columns("pair", **columns)

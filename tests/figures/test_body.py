@@ -175,5 +175,5 @@ def test_more_tendons_than_dash_patterns():
 
 def test_a_failed_solve_has_no_figure(equilibrium):
     nothing = jax.tree.map(lambda x: x * np.nan if np.issubdtype(x.dtype, np.inexact) else x, equilibrium)
-    with pytest.raises(ValueError, match="the solve failed, there is no shape to draw; see its result"):
+    with pytest.raises(ValueError, match="the solve failed, there is no shape to draw; see its status"):
         equilibrium_figure(LINK, nothing)

@@ -22,10 +22,9 @@ import cddf_jax as cddf
 from cddf_jax import figures
 from cddf_jax.files.cross_sections import SectionColumn
 from cddf_jax.robot.profiles import Constant
-from cddf_jax.sweeping.one_solve import RESULT_NAMES
 
 TENSIONS, FRICTIONS = np.linspace(10.0, 50.0, 5), np.array([0.2, 0.4, 0.6])
-LOCKED = RESULT_NAMES.index("locked")
+LOCKED = cddf.Status.locked
 ONE, PAIR = paper_body("exact"), paper_body(num_tendons=2)
 PLAIN = {"Friction coefficient", "Root of the rise in squares", ""}  # numbers without a unit, and hidden labels
 

@@ -7,13 +7,13 @@ from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+import cddf_jax as cddf
 from cddf_jax.errors import InputError
 from cddf_jax.figures.style import render
 from cddf_jax.figures.sweep_labels import name_in_words
 from cddf_jax.figures.sweeps import draw_lines, draw_map, left_out_of_figure, sweep_figure
-from cddf_jax.sweeping.one_solve import RESULT_NAMES
 
-CROSSING, LOCKED = RESULT_NAMES.index("crossing"), RESULT_NAMES.index("locked")
+CROSSING, LOCKED = cddf.Status.crossing, cddf.Status.locked
 TENSIONS = np.linspace(10.0, 50.0, 5)
 FRICTIONS = np.linspace(0.1, 0.6, 6)
 MODULI = np.linspace(1.2e6, 1.6e6, 7)

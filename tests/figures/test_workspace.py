@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import xarray
 
+import cddf_jax as cddf
 from cddf_jax import figures
 from cddf_jax.errors import InputError
 from cddf_jax.figures import workspace
-from cddf_jax.sweeping.one_solve import RESULT_NAMES
 
-CROSSING, LOCKED = RESULT_NAMES.index("crossing"), RESULT_NAMES.index("locked")
+CROSSING, LOCKED = cddf.Status.crossing, cddf.Status.locked
 PULLS = np.array([0.0, 10.0, 30.0])
 
 

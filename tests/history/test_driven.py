@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import PAPER, both_modes, code, codes, paper_body
+from bodies import PAPER, both_modes, codes, paper_body
 
 import cddf_jax as cddf
 
@@ -23,8 +23,8 @@ def test_a_little_back_from_a_pull():
     history = cddf.trace(BODY, cddf.Displacement(path))
     np.testing.assert_allclose(history.base_tension[:4], [75, 65.879540, 56.100971, 41.836412], atol=6e-7)
     np.testing.assert_array_equal(history.base_tension[4:6], 0.0)
-    slack = code(cddf.RESULTS.slack)
-    assert codes(history.result) == [0, 0, 0, 0, slack, slack, 0, 0]
+    slack = cddf.Status.slack
+    assert codes(history.status) == [0, 0, 0, 0, slack, slack, 0, 0]
     np.testing.assert_allclose(history.tendon_displacement, [*path[:4], 0, 0, *path[6:]], atol=1e-15)
     pulled = [cddf.solve(BODY, cddf.Displacement(x)).base_tension[0] for x in path[6:]]
     np.testing.assert_allclose(history.base_tension[6:], pulled)

@@ -11,10 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import code, codes, paper_body
+from bodies import codes, paper_body
 
 import cddf_jax as cddf
-from cddf_jax.statics.equilibrium import RESULTS, code_of
 
 PAIR = paper_body("exact", num_tendons=2)
 ONE = paper_body("exact")
@@ -318,7 +317,7 @@ def test_drag_uses_up_the_first_tensions_from_rest(drag):
 def test_a_tendon_that_would_push_by_drag_is_reported():
     """Both are let go: drag would have one of them push the body back, and a tendon hangs then, which is not known."""
     history = cddf.trace(paper_body("exact", num_tendons=2, drag=60.0), [[20.0, 0.0], [0.0, 0.0]], throw=False)
-    assert codes(history.result)[1] == code(RESULTS.inaccurate)
+    assert codes(history.status)[1] == cddf.Status.inaccurate
     with pytest.raises(cddf.SolveError, match=r"error estimate exceeds 0.03: raise short_steps= and nodes="):
         cddf.trace(paper_body("exact", num_tendons=2, drag=60.0), [[20.0, 0.0], [0.0, 0.0]])
 
@@ -333,8 +332,8 @@ def test_displacements_of_tendons_one_of_which_is_slack():
     np.testing.assert_allclose(history.base_tension[3], 0.0, atol=1e-9)
     np.testing.assert_allclose(history.tendon_displacement[:3, 0], wanted[:3], atol=1e-12)
     np.testing.assert_allclose(history.tendon_displacement[3, 0], 0.0, atol=1e-9)
-    slack = int(code_of(RESULTS.slack))
-    np.testing.assert_array_equal(code_of(history.result), [0, 0, 0, slack, 0])
+    slack = cddf.Status.slack
+    np.testing.assert_array_equal(history.status, [0, 0, 0, slack, 0])
     taken_up = cddf.solve(ONE, cddf.Displacement(8e-3))
     np.testing.assert_allclose(history.base_tension[4, 0], taken_up.base_tension[0], rtol=1e-6)
 
@@ -367,7 +366,7 @@ def test_a_lane_that_fails_is_alone():
     np.testing.assert_allclose(lanes.tip_angle[0], alone.tip_angle, atol=1e-9)
     np.testing.assert_allclose(lanes.tip_angle[1, 0], alone.tip_angle[0], atol=1e-9)  # up to the bad step
     assert np.isnan(lanes.tip_angle[1, 1])
-    np.testing.assert_array_equal(code_of(lanes.result)[1], [0, int(code_of(RESULTS.unphysical))])
+    np.testing.assert_array_equal(lanes.status[1], [0, cddf.Status.unphysical])
 
 
 def test_bad_input_is_refused(exact):

@@ -16,7 +16,6 @@ from bodies import (
     UNIT_CUBE,
     body_of,
     both_modes,
-    code,
     codes,
     draw_from,
     fields_at,
@@ -35,7 +34,6 @@ import cddf_jax as cddf
 LENGTH, OFFSET, MU, MODULUS = PAPER["length"], PAPER["tendon_offset"], PAPER["friction_coefficient"], 1.4e6
 BODY = paper_body("exact")
 STEPS = 8  # of most paths here, so that they share one program
-R = cddf.RESULTS
 
 
 def stiffness(s):
@@ -210,7 +208,7 @@ def traced_draws(kinematics):
     def traced(draw, path):
         history = cddf.trace(body_of(draw, kinematics), path, throw=False)
         found = history.tip_tension, history.tip_angle, history.tip_position, history.front
-        return (*found, history.tendon_displacement), history.num_turns, history.result
+        return (*found, history.tendon_displacement), history.num_turns, history.status
 
     return jax.jit(jax.vmap(traced, (None, 0)))
 
@@ -301,11 +299,11 @@ def test_lanes_and_single_precision():
             return cddf.trace(paper_body("exact", friction_coefficient=mu), scale * PATH, throw=False)
 
         found = jax.vmap(traced)(jnp.array([MU, -1.0, 0.2]))
-        return jnp.nansum(found.tip_angle), (found.tip_angle, found.result)
+        return jnp.nansum(found.tip_angle), (found.tip_angle, found.status)
 
     slope, (angles, result) = jax.jit(jax.grad(total, has_aux=True))(1.0)
     np.testing.assert_allclose(angles[0], traced_angles(PATH, MU), rtol=1e-12)
-    expected = [code(R.successful)] * STEPS + [code(R.unphysical)] * STEPS + [code(R.successful)] * STEPS
+    expected = [cddf.Status.successful] * STEPS + [cddf.Status.unphysical] * STEPS + [cddf.Status.successful] * STEPS
     assert codes(result) == expected
     assert np.all(np.isnan(angles[1]))
     good = sum(jnp.sum(derivatives(jnp.append(mu, PATH))[1][:, 1:] @ PATH) for mu in (MU, 0.2))
@@ -320,11 +318,11 @@ def test_lanes_and_single_precision():
 def test_more_turns_than_there_is_room_for():
     path = [75.0, 20.0, 70.0, 25.0]
     history = cddf.trace(BODY, path, max_turns=3, throw=False)
-    assert codes(history.result) == [code(R.successful)] * 3 + [code(R.too_many_turns)]
+    assert codes(history.status) == [cddf.Status.successful] * 3 + [cddf.Status.too_many_turns]
     assert np.isnan(history.tip_angle[3])
     np.testing.assert_array_equal(np.isnan(history.at(0.05).tension[:, 0]), [False, False, False, True])
     on = cddf.trace(BODY, [60.0], start=history, throw=False)  # what it remembers is not known
-    assert codes(on.result) == [code(R.unphysical)]
+    assert codes(on.status) == [cddf.Status.unphysical]
     assert np.isnan(on.tip_angle[0])
     with pytest.raises(cddf.SolveError, match=r"step 3 of the trace, 25 N: More turns .* Raise max_turns="):
         cddf.trace(BODY, path, max_turns=3)

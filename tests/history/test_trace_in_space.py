@@ -182,7 +182,7 @@ def test_loops_against_coulombs_law_at_discs(turns):
 def test_return_point_memory():
     """Loops within loops close, and what is passed is forgotten."""
     history = cddf.trace(helix(1.0), [75.0, 40.0, 60.0, 50.0, 60.0, 40.0, 75.0, 20.0], throw=False)
-    assert set(codes(history.result)) == {0}
+    assert set(codes(history.status)) == {0}
     for name in NUMBERS:
         values = np.asarray(getattr(history, name))
         for again, once in ((4, 2), (5, 1), (6, 0)):

@@ -288,7 +288,7 @@ def test_rows_under_loads_in_space():
     )
     bench = experiment_of(table, body, setting=cddf.BenchSetting(cddf.Loads(gravity=gravity)))
     shown = bench.evaluate(body, {"friction_coefficient": 0.42}, 12)
-    good = shown.results == cddf.RESULTS.successful
+    good = shown.status == cddf.Status.successful
     assert good.tolist() == [True, False, True]
     for row in np.flatnonzero(good):
         loads = cddf.Loads(tip_force=(0.0, 0.0, table["tip_force_z"][row]), gravity=gravity)

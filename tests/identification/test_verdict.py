@@ -1,24 +1,23 @@
-"""When the rows of a table cannot determine parameters, from the results of their solves."""
+"""When the rows of a table cannot determine parameters, from the statuses of their solves."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from bodies import stack
 
+import cddf_jax as cddf
 from cddf_jax.identification.bench import Bench, BenchModel, Evaluation
 from cddf_jax.identification.verdict import SolveResults, doubt, estimates_in_words, solve_results, verdict_of
 from cddf_jax.measurements.table import Measurements
-from cddf_jax.statics.equilibrium import RESULTS
 
 
 def solves(**counts):
-    """Ten rows of which so many end in each result, the first ones; lines 3 to 12 of a file."""
-    named = [getattr(RESULTS, name) for name, count in counts.items() for _ in range(count)]
-    results = stack([*named, *[RESULTS.successful] * (10 - len(named))])
+    """Ten rows of which so many end in each status, the first ones; lines 3 to 12 of a file."""
+    named = [cddf.Status[name] for name, count in counts.items() for _ in range(count)]
+    status = np.array([*named, *[cddf.Status.successful] * (10 - len(named))])
     table = Measurements("bench", {"base_tension": np.arange(10.0)}, np.arange(3, 13))
     read = np.arange(10) != 9  # the last row has no reading, and does not count
-    return SolveResults("bench", table, results, np.asarray(results == RESULTS.direction_contradicted) & read, read)
+    return SolveResults("bench", table, status, (status == cddf.Status.direction_contradicted) & read, read)
 
 
 @pytest.mark.parametrize(
@@ -40,8 +39,8 @@ def test_fewer_than_half_of_the_rows_are_not_most():
 def test_stated_directions_are_believed_tendon_by_tendon(stated, expected, monkeypatch):
     """Row 1 contradicts tendon 1, row 2 tendon 2, row 3 both, row 4 none; the rule is that of the tutorial."""
     against = np.array([[True, False], [False, True], [True, True], [False, False]])
-    results = stack([RESULTS.direction_contradicted] * 3 + [RESULTS.successful])
-    monkeypatch.setattr(Bench, "evaluate", lambda *_: Evaluation({}, {}, results, against, {}))
+    status = np.array([cddf.Status.direction_contradicted] * 3 + [cddf.Status.successful])
+    monkeypatch.setattr(Bench, "evaluate", lambda *_: Evaluation({}, {}, status, against, {}))
     rows = Bench(np.ones((4, 2)), tuple(-np.ones(4) if tendon in stated else None for tendon in (1, 2)), name="bench")
     table = Measurements("bench", {"base_tension": np.ones(4), "tip_tension": np.ones(4)}, np.arange(1, 5))
     (found,) = solve_results({}, [table], BenchModel(None, (rows,), 16))

@@ -10,7 +10,6 @@ import pytest
 from bodies import (
     Draw,
     body_of,
-    code,
     codes,
     constant,
     draws,
@@ -107,9 +106,9 @@ def test_random_bodies_exact_with_converging_offset(draw):
 @one_kinematics_at_once
 def test_no_false_alarm(kinematics):
     """A solve with the accuracy above must not be called inaccurate; 200 bodies, seed 0."""
-    result = jax.vmap(solve_draw[kinematics])(stack(random_draws(kinematics, 200, seed=0))).result
-    assert codes(result).count(code(cddf.RESULTS.inaccurate)) == 0
-    assert codes(result) == [code(cddf.RESULTS.successful)] * 200
+    result = jax.vmap(solve_draw[kinematics])(stack(random_draws(kinematics, 200, seed=0))).status
+    assert codes(result).count(cddf.Status.inaccurate) == 0
+    assert codes(result) == [cddf.Status.successful] * 200
 
 
 @given(draw=draws("published"))

@@ -94,7 +94,7 @@ def test_what_is_called_successful_is_accurate(kinematics):
     """With too few nodes on purpose: no lane may be wrong by more than 1e-5 and called successful."""
     draws = random_draws(kinematics, 64, seed=6)
     solutions = solver_with(kinematics, 6)(stack(draws))
-    successful = np.asarray(solutions.result == cddf.RESULTS.successful)
+    successful = np.asarray(solutions.status == cddf.Status.successful)
     assert np.any(successful)
     assert np.any(~successful)
     assert np.all(true_errors(kinematics, draws, solutions)[successful] < 1e-5)
@@ -125,7 +125,7 @@ def body_with(outer_radius, kinematics="exact"):
 @pytest.mark.parametrize("profile", [kinked, stepped, wiggling], ids=lambda f: f.__name__)
 def test_an_undeclared_roughness_is_detected(profile):
     solution = cddf.solve(body_with(profile), 40.0, throw=False)
-    assert solution.result == cddf.RESULTS.inaccurate
+    assert solution.status == cddf.Status.inaccurate
     assert solution.error_estimate > 1e-5
     assert np.isfinite(solution.tip_tension[0])
     with pytest.raises(cddf.SolveError, match=r"too rough for its nodes\. Raise nodes="):
@@ -142,7 +142,7 @@ def test_declared_breaks_restore_the_accuracy(profile):
     plain = paper_plain("exact", outer_radius=lambda s: float(profile(s)), breaks=(KINK,))
     expected = 40.0 / (1 + 0.42 / 1.4e6 * 40.0 * split_compliance(plain, KINK))
     solution = cddf.solve(body_with(declared), 40.0)
-    assert solution.result == cddf.RESULTS.successful
+    assert solution.status == cddf.Status.successful
     np.testing.assert_allclose(solution.tip_tension, [expected], rtol=1e-8)
     rough = cddf.solve(body_with(profile), 40.0, throw=False)
     assert abs(rough.tip_tension[0] / expected - 1) > 1e-6  # not idle: without the break it is wrong

@@ -15,11 +15,8 @@ from bodies import paper_body, paper_with, replaced
 
 import cddf_jax as cddf
 from cddf_jax.mechanics.directions import find_directions, stated_directions
-from cddf_jax.statics.equilibrium import code_of
 
-SUCCESSFUL, CONTRADICTED = (
-    int(code_of(result)) for result in (cddf.RESULTS.successful, cddf.RESULTS.direction_contradicted)
-)
+SUCCESSFUL, CONTRADICTED = cddf.Status.successful, cddf.Status.direction_contradicted
 PAIR = paper_body("exact", num_tendons=2)
 
 
@@ -32,7 +29,7 @@ def test_antagonists():
     np.testing.assert_array_equal(mirrored.direction, (-1, 1))
     assert float(mirrored.tip_angle) == pytest.approx(-float(found.tip_angle), rel=1e-12)
     equal = cddf.solve(PAIR, (50.0, 50.0))  # the body stays straight, no tendon travels, and nothing is lost
-    assert equal.result == cddf.RESULTS.successful
+    assert equal.status == cddf.Status.successful
     np.testing.assert_allclose(equal.tip_tension, 50.0, rtol=1e-12)
 
 
@@ -54,7 +51,7 @@ def test_the_choice_that_no_travel_contradicts(kinematics):
     def outcome(tension, direction=None):
         found = cddf.solve(body, tension, direction=direction)
         return (
-            code_of(found.result),
+            found.status,
             found.direction_contradicted,
             found.direction,
             found.tip_angle,
@@ -158,7 +155,7 @@ def test_under_loads():
     loads = cddf.Loads(tip_force=(0.0, -2.0))
     found = cddf.solve(PAIR, (60.0, 20.0), loads)
     stated = cddf.solve(PAIR, (60.0, 20.0), loads, direction=(1, -1))
-    assert found.result == stated.result == cddf.RESULTS.successful
+    assert found.status == stated.status == cddf.Status.successful
     np.testing.assert_array_equal(found.direction, (1, -1))
     np.testing.assert_allclose(found.tip_tension, stated.tip_tension, rtol=1e-10)
 

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import PAPER, code, fields_at, lane, one_kinematics_at_once, paper_body, paper_plain, replaced, stack
+from bodies import PAPER, fields_at, lane, one_kinematics_at_once, paper_body, paper_plain, replaced, stack
 from marching import Marching
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
@@ -99,7 +99,7 @@ class Reference:
 
 def compare(solution, reference, tolerance=1e-8):
     if not np.any(solution.direction_contradicted):
-        assert code(solution.result) == code(cddf.RESULTS.successful)
+        assert solution.status == cddf.Status.successful
     np.testing.assert_allclose(solution.tip_tension, reference.tip_tension, rtol=tolerance, atol=1e-12)
     np.testing.assert_allclose(solution.tip_angle, reference.tip_angle, atol=tolerance)
     np.testing.assert_allclose(solution.tip_position, reference.tip_position, atol=tolerance * LENGTH)
@@ -223,7 +223,7 @@ def test_under_a_load():
     force = (0.3, 1.0)
     for base_tension in (60.0, 10.0):
         solution = cddf.solve(EXACT, base_tension, cddf.Loads(tip_force=force))
-        assert solution.result == cddf.RESULTS.successful
+        assert solution.status == cddf.Status.successful
         compare(solution, Reference(base_tension, tip_force=force))
 
 
@@ -317,8 +317,8 @@ def test_a_batch_is_a_loop():
         alone = cddf.solve(lane(bodies, i), tension[i], throw=False)
         np.testing.assert_allclose(batch.tip_tension[i], alone.tip_tension, rtol=1e-13)
         np.testing.assert_allclose(batch.tip_position[i], alone.tip_position, rtol=1e-13)
-        assert code(lane(batch, i).result) == code(alone.result)
-    assert code(lane(batch, 4).result) == code(cddf.RESULTS.unphysical)
+        assert lane(batch, i).status == alone.status
+    assert lane(batch, 4).status == cddf.Status.unphysical
 
 
 # --- without drag --------------------------------------------------------------------------------

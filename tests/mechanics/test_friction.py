@@ -11,7 +11,7 @@ from cddf_jax.mechanics.friction import (
     drag_loss,
     is_proportional,
     ratio_beyond,
-    ratio_rate,
+    ratio_factor,
     spent_rate,
     tension_rate,
     unspent,
@@ -35,7 +35,7 @@ def test_the_rate_of_the_tension_is_that_of_what_is_integrated(direction, drag):
     """T' by the chain rule from r' and c', which the solver integrates."""
     here, direction = section(drag), jnp.array(direction)
     pull = Pull(RATIO, None if drag is None else SPENT)
-    rates = Pull(ratio_rate(direction, here, TURNING, RATIO), spent_rate(direction, here, RATIO))
+    rates = Pull(direction * jnp.abs(TURNING) * ratio_factor(here, RATIO), spent_rate(direction, here, RATIO))
     tension, by_rule = jax.jvp(lambda pull: unspent(BASE, pull) / pull.ratio, (pull,), (rates,))
     np.testing.assert_allclose(tension_rate(direction, here, TURNING, tension), by_rule, rtol=1e-14)
 
@@ -52,7 +52,7 @@ def test_a_finite_turn_is_a_fast_one():
     here, direction, turn = section(None), jnp.array([1.0, -1.0]), jnp.array([0.4, 0.4])
     mu = np.array([0.3, 0.42])
     np.testing.assert_allclose(ratio_beyond(direction, here, turn, RATIO), RATIO * np.exp([0.12, -0.168]), rtol=1e-14)
-    np.testing.assert_allclose(ratio_rate(direction, here, TURNING, RATIO), [0.9 * 1.3, -7 * 0.42 * 1.1], rtol=1e-14)
+    np.testing.assert_allclose(ratio_factor(here, RATIO), mu * RATIO, rtol=1e-14)
     slope = jax.jvp(lambda turn: ratio_beyond(direction, here, turn, RATIO), (0.0 * turn,), (jnp.ones(2),))[1]
     np.testing.assert_allclose(slope, direction * mu * RATIO, rtol=1e-14)
 

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import PAPER, PlainBody, both_modes, code, codes, fields_at, paper_body, paper_plain, paper_with, slow_where
+from bodies import PAPER, PlainBody, both_modes, codes, fields_at, paper_body, paper_plain, paper_with, slow_where
 from loaded_bodies import PlainLoads, largest_difference, loaded_reference
 from scipy.integrate import quad
 
@@ -17,7 +17,6 @@ import cddf_jax as cddf
 from cddf_jax.mechanics.problem import lay_out
 from cddf_jax.mechanics.sign_changes import Splits, _first_changes, with_ends
 
-R = cddf.RESULTS
 LENGTH = PAPER["length"]
 AGREES = 1e-9  # the reference integrates with a relative tolerance of 1e-11 per step
 LOCATED = 1e-6  # of the length: the reference stops a little late, where |kappa| is 1e-8 / L
@@ -110,7 +109,7 @@ def test_antagonists_of_changing_advantage(kinematics, case, direction):
     solution, reference = crossing(kinematics, case, direction)
     assert len(reference.turning_points) == CROSSING[case][1][KINEMATICS.index(kinematics)]
     # one of the two, stated to slide in, may be drawn out
-    assert codes(solution.result)[0] in (code(R.successful), code(R.direction_contradicted))
+    assert codes(solution.status)[0] in (cddf.Status.successful, cddf.Status.direction_contradicted)
     difference = largest_difference(solution, reference, plain(kinematics, *CROSSING[case][0]))
     assert difference < AGREES
     assert difference < solution.error_estimate < 1e-9

@@ -294,7 +294,7 @@ def test_an_equilibrium_is_that_of_a_fresh_trace_to_the_last_bit(place, monkeypa
             for ours, theirs in zip(jax.tree.leaves(one), jax.tree.leaves(there), strict=True):
                 assert (ours.dtype, ours.committed) == (theirs.dtype, theirs.committed)
                 np.testing.assert_array_equal(ours, theirs)
-            assert str(one.result) == "successful"
+            assert one.status == cddf.Status.successful
         assert len(folder.entries()) == 2
 
 

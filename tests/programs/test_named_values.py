@@ -12,7 +12,6 @@ from bodies import paper_body
 import cddf_jax as cddf
 from cddf_jax.programs.json_form import NotDescribedError, Place, describe, rebuild
 from cddf_jax.robot.profiles import Linear
-from cddf_jax.statics.equilibrium import RESULTS
 
 BODY = paper_body("exact")
 
@@ -34,13 +33,12 @@ def without_arrays(tree):
         (1, [2, {"a": (), "b": None}, {3: 4}]),
         np.dtype("float32"),
         Linear,
-        RESULTS,
+        cddf.Status,
         jnp.linalg.inv,
         jax.tree.structure((1, {"a": 2, "b": None})),
         jax.sharding.Mesh(np.array(jax.devices()), ("lanes",)),
         without_arrays(BODY),
         without_arrays(cddf.FixedPoint()),
-        without_arrays(RESULTS.unstable),
         without_arrays((cddf.TipAngle(0.5), cddf.Loads())),
     ],
 )

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import PAPER, both_modes, code, codes, paper_body
+from bodies import PAPER, both_modes, codes, paper_body
 from marching import Marching
 from refusals import refused
 from scipy.integrate import quad, solve_ivp
@@ -50,7 +50,7 @@ def loads(x: Numbers = Numbers()) -> cddf.Loads:
 def observed(x: Numbers, **options: Any) -> tuple[jax.Array, Any]:
     eq = cddf.solve(robot(x), PULL, loads(x), throw=False, **options)
     moment = 100 * eq.base_moment  # all of them of about one size
-    return jnp.stack([eq.tip_tension[0], eq.tip_angle, *10 * eq.tip_position, moment]), eq.result
+    return jnp.stack([eq.tip_tension[0], eq.tip_angle, *10 * eq.tip_position, moment]), eq.status
 
 
 def reference(x: Numbers = Numbers()) -> np.ndarray:
@@ -94,8 +94,7 @@ def test_a_backbone_with_discs_against_scipy_and_its_lanes():
     ]
     batch = Numbers(*map(jnp.asarray, zip(*lanes, strict=True)))
     found, result = jax.jit(jax.vmap(observed))(batch)
-    R = cddf.RESULTS
-    good, bad = code(R.successful), code(R.unphysical)
+    good, bad = cddf.Status.successful, cddf.Status.unphysical
     assert codes(result) == [good, bad, bad, bad, good, good, good, good]
     assert np.all(np.isnan(found[1:4]))
     np.testing.assert_allclose(found[0], reference(), rtol=1e-8)
@@ -122,7 +121,7 @@ def test_derivatives_by_masses_places_and_stiffness():
 @pytest.mark.slow
 def test_marching_meets_the_jumps_of_the_force():
     found, result = observed(Numbers(), method=Marching())
-    assert result == cddf.RESULTS.successful
+    assert result == cddf.Status.successful
     np.testing.assert_allclose(found, reference(), rtol=1e-7)
 
 

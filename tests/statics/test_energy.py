@@ -39,7 +39,7 @@ def test_one_tendon_against_the_closed_form():
     assert balance.elastic_energy == pytest.approx(elastic, rel=CLOSES)
     assert balance.friction_loss == pytest.approx([work - elastic], rel=1e-10)
     assert balance.load_work == 0.0
-    assert balance.result == cddf.RESULTS.successful
+    assert balance.status == cddf.Status.successful
 
 
 def pair(heights, other, end):
@@ -109,7 +109,7 @@ def test_the_published_kinematics_have_a_residual():
 
 def test_a_failed_solve():
     unbalanced = cddf.energy_balance(paper_body("exact"), float("nan"), throw=False)
-    assert unbalanced.result == cddf.RESULTS.unphysical
+    assert unbalanced.status == cddf.Status.unphysical
     assert np.isnan(unbalanced.elastic_energy)
     with pytest.raises(cddf.SolveError, match="not physical"):
         cddf.energy_balance(paper_body("exact"), float("nan"))

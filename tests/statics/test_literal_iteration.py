@@ -110,7 +110,7 @@ def test_it_diverges_where_the_tension_exceeds_the_stiffness():
     tip = paper_plain(friction=[0.01]).closed_form(400.0, 0.14)
     assert tip * 0.010**2 > 1.2 * stiffness
     solution = cddf.solve(SLIPPERY, 400.0, method=cddf.LiteralIteration(max_updates=200), throw=False)
-    assert solution.result == cddf.RESULTS.not_converged
+    assert solution.status == cddf.Status.not_converged
     assert np.all(np.isnan(solution.curvature))
     assert np.all(np.isnan(solution.tip_tension))
     with pytest.raises(cddf.SolveError, match="did not settle"):
@@ -129,4 +129,4 @@ def test_it_converges_just_below_that_tension():
     """T_base d^2 = 0.9 E J at the tip, where E J is least and T no larger than at the base."""
     tension = 0.9 * 1.4e6 * paper_plain().second_moment(0.14) / 0.010**2
     literal = cddf.LiteralIteration(tip_tolerance=1e-10, max_updates=400)
-    assert cddf.solve(SLIPPERY, tension, method=literal).result == cddf.RESULTS.successful
+    assert cddf.solve(SLIPPERY, tension, method=literal).status == cddf.Status.successful

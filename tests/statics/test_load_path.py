@@ -24,7 +24,6 @@ import cddf_jax as cddf
 from cddf_jax.statics.equilibrium_derivatives import equilibrate
 from cddf_jax.statics.equilibrium_search import Setup
 
-R = cddf.RESULTS
 LENGTH = PAPER["length"]
 AGREES = 1e-9  # the reference integrates with a relative tolerance of 1e-11 per step
 DISCRETE = 3e-4  # relative: 120 cells of equal width, of second order
@@ -71,7 +70,7 @@ def test_a_straight_column_is_stable_up_to_its_critical_load(column, fraction):
     loads = COLUMNS[column](fraction)
     solution = solved(loads, body=rod())
     assert bool(solution.stable) == (fraction < 1)
-    assert solution.result == (R.successful if fraction < 1 else R.unstable)
+    assert solution.status == (cddf.Status.successful if fraction < 1 else cddf.Status.unstable)
     np.testing.assert_array_equal(solution.curvature, 0.0)
     np.testing.assert_allclose(solution.tip_position, [0.2, 0.0], atol=1e-12)
     assert solution.load_fraction == 1.0
@@ -112,7 +111,7 @@ def test_a_slightly_bent_column_leaves_the_straight_line(fraction):
     loads = PlainLoads((-fraction * EULER, 0.01 * fraction * EULER))
     reference = loaded_reference(PLAIN_ROD, 0.0, loads)
     solution = solved(loads, body=rod())
-    assert solution.result == R.successful
+    assert solution.status == cddf.Status.successful
     assert largest_difference(solution, reference, PLAIN_ROD) < AGREES
 
 
@@ -154,7 +153,7 @@ def test_the_end_of_the_path(case):
     tension, times, degrees, steps, angle = HARD[case]
     loads, plain = pressed(times, degrees), paper_plain("exact")
     solution = solved(loads, tension)
-    assert solution.result == R.successful
+    assert solution.status == cddf.Status.successful
     assert solution.num_load_steps >= steps
     assert np.degrees(float(solution.tip_angle)) > angle
     # 60 cells are of second order; other equilibria are more than a radian away
@@ -183,7 +182,7 @@ def test_a_body_that_snaps(case):
     tension, loads = SNAPPING[case]
     fold = limit(paper_plain("exact"), tension, loads)
     solution = solved(loads, tension)
-    assert solution.result == R.load_limit
+    assert solution.status == cddf.Status.load_limit
     np.testing.assert_allclose(solution.load_fraction, fold, atol=3e-3)
     for name in ("tip_tension", "position", "curvature", "tension", "base_moment", "error_estimate"):
         assert np.all(np.isnan(getattr(solution, name))), name
@@ -192,9 +191,9 @@ def test_a_body_that_snaps(case):
         cddf.solve(paper_body("exact"), tension, cddf.Loads(*loads))
     # a little less is carried, a little more is not
     below = solved(loads.times(0.995 * fold), tension)
-    assert below.result == R.successful
+    assert below.status == cddf.Status.successful
     assert below.stable
-    assert solved(loads.times(1.01 * fold), tension).result == R.load_limit
+    assert solved(loads.times(1.01 * fold), tension).status == cddf.Status.load_limit
 
 
 JUMPS = {
@@ -214,16 +213,16 @@ def test_a_step_does_not_leap_to_another_branch(case):
     try:
         reference = loaded_reference(plain, tension, loads)
     except NotFoundError:
-        assert solution.result == R.load_limit
+        assert solution.status == cddf.Status.load_limit
         np.testing.assert_allclose(solution.load_fraction, limit(plain, tension, loads), atol=3e-3)
         return
-    assert solution.result == R.successful
+    assert solution.status == cddf.Status.successful
     assert largest_difference(solution, reference, plain) < AGREES
 
 
 def test_the_tension_that_holds_a_load():
     """The message's advice: with 90 N in place of 60 N the same load is carried."""
-    assert solved(SNAPPING["60 N"][1], 90.0).result == R.successful
+    assert solved(SNAPPING["60 N"][1], 90.0).status == cddf.Status.successful
 
 
 @eqx.filter_jit

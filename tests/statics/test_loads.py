@@ -12,7 +12,6 @@ import pytest
 from bodies import (
     PAPER,
     PlainBody,
-    code,
     codes,
     constant,
     fields_at,
@@ -40,7 +39,6 @@ from scipy.interpolate import CubicSpline
 
 import cddf_jax as cddf
 
-R = cddf.RESULTS
 AGREES = 1e-9  # the reference integrates with a relative tolerance of 1e-11 per step
 TEXTBOOK = 1e-9  # formulas evaluated to round-off; the solver promises 1e-8
 ROUNDING = 1e-12  # the same operations in another order
@@ -127,7 +125,7 @@ def assert_moments_balance(solution, problem):
 def test_random_problems(kinematics, count, slanted):
     """Against shooting; some as well against collocation, and by the moments about every node."""
     problems, batch = random_batch(kinematics, count, slanted)
-    assert codes(batch.result) == [code(R.successful)] * LANES
+    assert codes(batch.status) == [cddf.Status.successful] * LANES
     for i, problem in enumerate(problems):
         solution = lane(batch, i)
         assert largest_difference(solution, problem.reference, problem.plain) < AGREES
@@ -349,7 +347,7 @@ def test_single_precision():
     """Within 1e-4, the accuracy of float32 in a boundary-value problem."""
     body, loads = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), (opposed(), cddf.Loads(*OPPOSING)))
     solution = cddf.solve(body, jnp.float32(60.0), loads)
-    assert solution.result == R.successful
+    assert solution.status == cddf.Status.successful
     assert {x.dtype for x in jax.tree.leaves(solution) if jnp.issubdtype(x.dtype, jnp.floating)} == {np.dtype("f4")}
     assert largest_difference(solution, opposed_reference(), paper_plain("exact")) < 1e-4
 
@@ -426,11 +424,11 @@ GOOD_LANES = [(1070.0, OPPOSING), (500.0, PlainLoads((0.0, 2.0)))]
 # 60 N against a force of 30 N at 213.5 degrees: the path of equilibria ends at 91 % of it, see test_load_path.py
 FOLDING = PlainLoads((-13.42, -8.88))
 BAD_LANES = {
-    "NaN force": (1070.0, PlainLoads((np.nan, 1.0)), R.unphysical),
-    "infinite gravity": (1070.0, PlainLoads(gravity=(0.0, np.inf)), R.unphysical),
-    "NaN moment": (1070.0, PlainLoads(tip_moment=np.nan), R.unphysical),
-    "negative density": (-1.0, OPPOSING, R.unphysical),
-    "no equilibrium": (1070.0, FOLDING, R.load_limit),
+    "NaN force": (1070.0, PlainLoads((np.nan, 1.0)), cddf.Status.unphysical),
+    "infinite gravity": (1070.0, PlainLoads(gravity=(0.0, np.inf)), cddf.Status.unphysical),
+    "NaN moment": (1070.0, PlainLoads(tip_moment=np.nan), cddf.Status.unphysical),
+    "negative density": (-1.0, OPPOSING, cddf.Status.unphysical),
+    "no equilibrium": (1070.0, FOLDING, cddf.Status.load_limit),
 }
 
 
@@ -446,7 +444,7 @@ def good():
 def test_a_failing_lane_reports_itself_and_spoils_nothing():
     for failure, (density, loads, expected) in BAD_LANES.items():
         found = derivatives(between_good_ones(density, loads))
-        assert codes(found.solutions.result) == [0, code(expected), 0], failure
+        assert codes(found.solutions.status) == [0, expected, 0], failure
         assert np.all(np.isnan(found.values[1])), failure
         for name in ("tip_tension", "position", "tension", "base_moment", "error_estimate"):
             assert np.all(np.isnan(getattr(found.solutions, name)[1])), (failure, name)

@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from bodies import (
-    code,
     codes,
     lane,
     one_kinematics_at_once,
@@ -75,7 +74,7 @@ def solved(case, method):
 )
 def test_marching_agrees_with_the_fixed_point(case):
     fixed, marched = solved(case, cddf.FixedPoint()), solved(case, MARCHING)
-    assert code(fixed.result) in (code(cddf.RESULTS.successful), code(cddf.RESULTS.direction_contradicted))
+    assert fixed.status in (cddf.Status.successful, cddf.Status.direction_contradicted)
     # marching: fourth order with 16 steps between neighbouring nodes, 1e-9
     np.testing.assert_allclose(marched.tip_tension, fixed.tip_tension, rtol=1e-8)
     np.testing.assert_allclose(marched.tip_position, fixed.tip_position, atol=1e-8 * 0.14)
@@ -86,7 +85,7 @@ def test_marching_agrees_with_the_fixed_point(case):
     np.testing.assert_allclose(marched.heading, fixed.heading, atol=1e-6)
     np.testing.assert_allclose(marched.curvature, fixed.curvature, rtol=1e-6)
     np.testing.assert_allclose(marched.normal_force, fixed.normal_force, rtol=1e-5, atol=1e-3)
-    assert marched.result == fixed.result
+    assert marched.status == fixed.status
 
 
 @pytest.mark.slow
@@ -170,11 +169,11 @@ def test_one_pass_without_a_solution_is_reported(direction, friction, expected):
     def tension(friction, modulus):
         body = replace(PARALLEL, friction_coefficient=friction, youngs_modulus=modulus)
         solution = cddf.solve(body, 75.0, direction=direction, throw=False)
-        return solution.tip_tension[0], solution.result
+        return solution.tip_tension[0], solution.status
 
     with_slope = jax.jit(jax.vmap(jax.value_and_grad(tension, has_aux=True)))
     (tensions, results), slopes = with_slope(jnp.asarray([friction, 0.1]), modulus)
-    assert codes(results)[0] == code(getattr(cddf.RESULTS, expected))
+    assert codes(results)[0] == cddf.Status[expected]
     assert np.isnan(tensions[0])
     assert slopes[0] == 0.0
     (alone, _), slope = with_slope(jnp.full(2, 0.1), jnp.full(2, 1.4e6))
@@ -200,16 +199,16 @@ def test_few_passes_settle_strong_friction_in_one_panel():
     assert solution.num_iterations < 16
 
 
-HASTY = cddf.FixedPoint(tolerance=1e-4, max_passes=4)  # enough for the body with drag only
+HASTY = cddf.FixedPoint(tolerance=1e-4, max_iterations=4)  # enough for the body with drag only
 
 
 @pytest.mark.slow
 def test_too_few_passes_are_reported():
     body, tension, direction = LANES["slanted pair"]
     solution = cddf.solve(body, tension, direction=direction, method=HASTY, throw=False)
-    assert solution.result == cddf.RESULTS.not_converged
+    assert solution.status == cddf.Status.not_converged
     assert np.all(np.isnan(solution.tip_tension))
-    with pytest.raises(cddf.SolveError, match=r"did not settle\. Raise nodes= or max_passes"):
+    with pytest.raises(cddf.SolveError, match=r"did not settle\. Raise nodes= or max_iterations"):
         cddf.solve(body, tension, direction=direction, method=HASTY)
 
 
@@ -232,10 +231,10 @@ def test_a_locking_tendon_is_reported_as_such(method, kinematics):
     """Sliding out, the closed form of design.md section 3 reads T_base / (1 - (mu/E) T_base G): no tip beyond 1."""
     limit = 1.4e6 / 0.42 / 2.942783188998e4
     body = paper_body(kinematics)
-    solve = jax.jit(jax.vmap(lambda t: cddf.solve(body, t, direction=-1, method=method, throw=False).result))
+    solve = jax.jit(jax.vmap(lambda t: cddf.solve(body, t, direction=-1, method=method, throw=False).status))
     factors = jnp.array([1.01, 1.05, 1.2, 1.5, 2.0, 3.0, 10.0, 100.0])
-    assert codes(solve(factors * limit)) == [code(cddf.RESULTS.locked)] * 8
-    assert code(cddf.RESULTS.locked) not in codes(solve(jnp.linspace(0.1, 0.9, 8) * limit))
+    assert codes(solve(factors * limit)) == [cddf.Status.locked] * 8
+    assert cddf.Status.locked not in codes(solve(jnp.linspace(0.1, 0.9, 8) * limit))
 
 
 @pytest.mark.slow

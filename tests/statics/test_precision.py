@@ -8,7 +8,6 @@ from bodies import fields_at, paper_body, two_slanted_tendons
 from marching import Marching
 
 import cddf_jax as cddf
-from cddf_jax.statics.equilibrium import code_of
 
 SINGLE = 1e-5  # relative to tension, length, radian; issue 2, section 3
 
@@ -41,7 +40,7 @@ def test_numbers_in_single_precision_stay_there(case):
     np.testing.assert_allclose(ours.tip_position, double.tip_position, atol=SINGLE * 0.14)
     np.testing.assert_allclose(ours.tip_angle, double.tip_angle, atol=SINGLE)
     np.testing.assert_allclose(ours.tension, double.tension, rtol=SINGLE)
-    assert ours.result == cddf.RESULTS.successful
+    assert ours.status == cddf.Status.successful
 
 
 def test_a_plain_tension_follows_the_body_and_a_double_one_raises_it():
@@ -104,7 +103,7 @@ def test_many_bodies_in_single_precision():
         body = paper_body("exact", outer_radius=jnp.stack([0 * radius + 0.020, radius]))
         body = jax.tree.map(lambda x: jnp.asarray(x, radius.dtype), body)
         solution = cddf.solve(body, tension, throw=False)
-        return solution.tip_tension[0] / tension, solution.tip_position / 0.14, code_of(solution.result)
+        return solution.tip_tension[0] / tension, solution.tip_position / 0.14, solution.status
 
     solve = jax.jit(jax.vmap(tip))
     double = solve(jnp.asarray(tip_radii), jnp.asarray(tensions))

@@ -13,8 +13,8 @@ from refusals import refused
 from scipy.integrate import quad
 
 import cddf_jax as cddf
+from cddf_jax import Status
 
-R = cddf.RESULTS
 FIELDS = ("arc_length", "curvature", "heading", "position", "tension", "wrap_angle", "normal_force", "friction_force")
 
 
@@ -27,20 +27,44 @@ def pair():
 
 
 def test_success_has_no_message():
-    assert cddf.RESULTS[cddf.solve(paper_body("exact"), 75.0).result] == ""
+    assert cddf.in_words(cddf.solve(paper_body("exact"), 75.0).status) == "successful"
 
 
 FAILURES = {
-    "unphysical: modulus": (paper_body("exact", youngs_modulus=-1.0), 30.0, +1, R.unphysical, "not physical"),
-    "unphysical: friction": (paper_body("exact", friction_coefficient=-0.1), 30.0, +1, R.unphysical, "validate"),
-    "unphysical: NaN": (paper_body("exact", youngs_modulus=np.nan), 30.0, +1, R.unphysical, "NaN"),
-    "unphysical: wall": (paper_body("exact", inner_radius=0.0135), 30.0, +1, R.unphysical, "a wall of no thickness"),
-    "unphysical: length": (paper_body("exact", length=0.0), 30.0, +1, R.unphysical, "not physical"),
-    "unphysical: offset": (paper_body("exact", tendon_offset=-0.01), 30.0, +1, R.unphysical, "not physical"),
-    "unphysical: tension": (paper_body("exact"), -30.0, +1, R.unphysical, "negative tension"),
-    "unphysical: direction": (paper_body("exact"), 30.0, 0.5, R.unphysical, r"direction other than \+1 or -1"),
-    "crossing": (paper_body("exact", youngs_modulus=3e5, friction_coefficient=0.05), 200.0, +1, R.crossing, "cross"),
-    "locked": (paper_body("exact"), 1.01 * 1.4e6 / 0.42 / 2.942783188998e4, -1, R.locked, "locks"),
+    "unphysical: modulus": (paper_body("exact", youngs_modulus=-1.0), 30.0, +1, Status.unphysical, "not physical"),
+    "unphysical: friction": (
+        paper_body("exact", friction_coefficient=-0.1),
+        30.0,
+        +1,
+        Status.unphysical,
+        "validate",
+    ),
+    "unphysical: NaN": (paper_body("exact", youngs_modulus=np.nan), 30.0, +1, Status.unphysical, "NaN"),
+    "unphysical: wall": (
+        paper_body("exact", inner_radius=0.0135),
+        30.0,
+        +1,
+        Status.unphysical,
+        "a wall of no thickness",
+    ),
+    "unphysical: length": (paper_body("exact", length=0.0), 30.0, +1, Status.unphysical, "not physical"),
+    "unphysical: offset": (paper_body("exact", tendon_offset=-0.01), 30.0, +1, Status.unphysical, "not physical"),
+    "unphysical: tension": (paper_body("exact"), -30.0, +1, Status.unphysical, "negative tension"),
+    "unphysical: direction": (
+        paper_body("exact"),
+        30.0,
+        0.5,
+        Status.unphysical,
+        r"direction other than \+1 or -1",
+    ),
+    "crossing": (
+        paper_body("exact", youngs_modulus=3e5, friction_coefficient=0.05),
+        200.0,
+        +1,
+        Status.crossing,
+        "cross",
+    ),
+    "locked": (paper_body("exact"), 1.01 * 1.4e6 / 0.42 / 2.942783188998e4, -1, Status.locked, "locks"),
 }
 
 
@@ -48,7 +72,7 @@ FAILURES = {
 def test_a_failure_has_its_code_and_is_raised_with_its_message(failure):
     body, tension, direction, expected, message = FAILURES[failure]
     solution = cddf.solve(body, tension, direction=direction, throw=False)
-    assert solution.result == expected
+    assert solution.status == expected
     with pytest.raises(cddf.SolveError, match=message):
         cddf.solve(body, tension, direction=direction)
 
@@ -81,19 +105,19 @@ def test_a_solve_error_is_a_runtime_error():
 
 def test_a_contradicted_direction_is_said_and_not_raised():
     solution = cddf.solve(paper_body("exact", num_tendons=2), (75.0, 20.0), direction=+1)
-    assert solution.result == R.direction_contradicted
+    assert solution.status == Status.direction_contradicted
     np.testing.assert_array_equal(solution.direction_contradicted, [False, True])
     assert solution.tendon_displacement[1] < 0
-    assert "flip it or leave it out" in cddf.RESULTS[solution.result]
+    assert "flip it or leave it out" in cddf.in_words(solution.status)
     right = cddf.solve(paper_body("exact", num_tendons=2), (75.0, 20.0), direction=(+1, -1))
-    assert right.result == R.successful
+    assert right.status == Status.successful
     assert not np.any(right.direction_contradicted)
 
 
 def test_a_slack_tendon_contradicts_nothing():
     """Without tension there is no friction whose sign could be wrong."""
     solution = cddf.solve(paper_body("exact", num_tendons=2), (75.0, 0.0), direction=+1)
-    assert solution.result == R.successful
+    assert solution.status == Status.successful
 
 
 # --- arguments -----------------------------------------------------------------------------------
@@ -253,7 +277,7 @@ def of_notched_body(place, width):
     body = cddf.Manipulator(0.14, notch, 0.007, (cddf.Tendon(0.010),), 1.4e6, 0.42, kinematics="published")
     solution = cddf.solve(body, 75.0, throw=False)
     exact = cddf.closed_form_tension(body, 75.0, 0.14, nodes=960)
-    return solution.tip_tension[0] / exact - 1, solution.result == cddf.RESULTS.successful
+    return solution.tip_tension[0] / exact - 1, solution.status == Status.successful
 
 
 @pytest.mark.parametrize("width", [1e-3, 1.5e-3, 3e-3])
@@ -272,8 +296,8 @@ def test_crossing_is_seen_at_the_very_tip():
     """Without friction d kappa = T d^2 / (E J), largest at the tip of a cone: 1.005 there, below 1 at the nodes."""
     body = paper_body("exact", friction_coefficient=0.0)
     stiffness = 1.4e6 * np.pi / 4 * (0.013**4 - 0.007**4)
-    result = cddf.solve(body, 1.005 * stiffness / 0.010**2, throw=False).result
-    assert result == cddf.RESULTS.crossing
+    result = cddf.solve(body, 1.005 * stiffness / 0.010**2, throw=False).status
+    assert result == Status.crossing
 
 
 def test_plain_functions_are_profiles():

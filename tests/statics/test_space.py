@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import both_modes, code, fields_at, paper_body, paper_with
+from bodies import both_modes, fields_at, paper_body, paper_with
 from scipy.integrate import solve_ivp
 
 import cddf_jax as cddf
@@ -285,7 +285,7 @@ def test_a_body_bent_too_far_says_so_and_has_no_slopes():
         return cddf.solve(body, jnp.array([pull, 0.0, 0.0]), loads, throw=False)
 
     failed = solved(3000.0)
-    assert code(failed.result) == code(cddf.RESULTS.not_converged)
+    assert failed.status == cddf.Status.not_converged
     assert failed.num_load_steps == 0
     forwards, backwards = (jax.jit(mode(lambda pull: solved(pull).tip_position)) for mode in (jax.jacfwd, jax.jacrev))
     np.testing.assert_array_equal(forwards(3000.0), 0.0)
@@ -299,7 +299,7 @@ def test_a_failing_lane_spoils_no_other():
 
     def tip(tension):
         found = cddf.solve(body, tension, throw=False)
-        return found.tip_position, found.result == cddf.RESULTS.successful
+        return found.tip_position, found.status == cddf.Status.successful
 
     position, good = jax.jit(jax.vmap(tip))(tensions)
     assert good.tolist() == [True, False, False]

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import PAPER, code, codes, constant, lane, paper_body, paper_plain, replaced, stack
+from bodies import PAPER, codes, constant, lane, paper_body, paper_plain, replaced, stack
 from jax.sharding import AxisType, PartitionSpec
 from loaded_bodies import PlainLoads, largest_difference, loaded_reference, random_loaded
 from refusals import refused
@@ -21,8 +21,8 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 import cddf_jax as cddf
+from cddf_jax import Status
 
-R = cddf.RESULTS
 d, MU, E = PAPER["tendon_offset"], PAPER["friction_coefficient"], PAPER["youngs_modulus"]
 PLAIN = paper_plain("exact")
 G = PLAIN.compliance(PLAIN.length)
@@ -223,7 +223,7 @@ def test_round_trip_under_loads(target):
     displacement = np.array([p.reference.displacement[0] for p in problems])
     wanted = {"angle": angle, "displacement": displacement}[target]
     found = solver_of(target)(bodies, loads, jnp.asarray(wanted), tension)
-    assert set(codes(found.result)) <= {code(R.successful), code(R.direction_contradicted)}
+    assert set(codes(found.status)) <= {Status.successful, Status.direction_contradicted}
     np.testing.assert_allclose(found.base_tension, tension, rtol=ROUND_TRIP)
     np.testing.assert_allclose(found.tip_angle, angle, atol=1e-8)
     np.testing.assert_allclose(found.tendon_displacement[:, 0], displacement, atol=1e-8)
@@ -242,12 +242,12 @@ def test_slack_under_a_load_is_what_the_load_leaves():
     wanted = jnp.asarray([0.8, 0.4, 1.2, 1.1, 1.3]) * taken_up
     bodies, loads = (stack([x] * LANES) for x in (paper_body("published", num_tendons=2), cddf.Loads(force)))
     found = solver_of("displacement")(bodies, loads, wanted, jnp.zeros((LANES, 2)))
-    assert codes(found.result)[:2] == [code(R.slack)] * 2
+    assert codes(found.status)[:2] == [Status.slack] * 2
     for i in (0, 1):
         assert largest_difference(lane(found, i), hanging, plain) < AGREES
     np.testing.assert_array_equal(found.base_tension[:2], 0.0)
     np.testing.assert_allclose(found.position[0], found.position[1], atol=1e-12)
-    assert codes(found.result)[2:] == [code(R.successful)] * 3
+    assert codes(found.status)[2:] == [Status.successful] * 3
     assert np.all(found.base_tension[2:, 0] > 0)
     np.testing.assert_allclose(found.tendon_displacement[2:, 0], wanted[2:], rtol=CLOSED)
 
@@ -325,7 +325,7 @@ def test_tip_stiffness_is_the_inverse_of_the_compliance_across_the_tip():
 )
 def test_an_unreachable_target_gives_the_nearest(name, wanted, nearest):
     found, _ = lane_of(name, wanted)
-    assert found.result == R.unreachable
+    assert found.status == Status.unreachable
     assert found.base_tension[0] == pytest.approx(nearest, rel=1e-5, abs=1e-9)
     assert abs(found.target_miss[0]) > 1e-3
     plain = cddf.solve(paper_body("exact"), found.base_tension)
@@ -338,14 +338,14 @@ def test_an_unreachable_target_gives_the_nearest(name, wanted, nearest):
 def test_the_published_tip_tension_has_a_supremum():
     """T_tip < E / (mu G) for any base tension, design.md section 3; the published curvature never crosses."""
     found = cddf.solve(paper_body("published"), cddf.TipTension(1.01 * E / (MU * G)), throw=False)
-    assert found.result == R.unreachable
+    assert found.status == Status.unreachable
     assert 0.9 * E / (MU * G) < found.tip_tension[0] < E / (MU * G)
     assert found.target_miss[0] == pytest.approx(float(found.tip_tension[0]) - 1.01 * E / (MU * G), rel=1e-9)
 
 
 def test_a_tendon_cannot_push():
     found, _ = lane_of("displacement", -0.002)
-    assert found.result == R.slack
+    assert found.status == Status.slack
     assert found.base_tension[0] == 0.0
     assert found.target_miss == pytest.approx([0.002], rel=1e-12)
 
@@ -365,7 +365,7 @@ def test_a_slack_tendon_leaves_the_other_its_displacement():
     """Rigid antagonists, 8 mm in and 12 mm out: the second goes slack, the first is one tendon alone (CASES)."""
     body, pulled = soft_pair(RIGID, 0.0), (0.008, -0.012)
     found = solved_pair(body, pulled, throw=False)
-    assert found.result == R.slack
+    assert found.status == Status.slack
     np.testing.assert_allclose(found.tendon_displacement, [0.008, -0.008], rtol=CLOSED)
     np.testing.assert_allclose(found.target_miss, [0.0, 0.004], atol=1e-11)
     assert found.base_tension == pytest.approx([np.expm1(MU * 0.008 / d) / A, 0.0], rel=CLOSED)
@@ -376,10 +376,10 @@ def test_a_slack_tendon_leaves_the_other_its_displacement():
 def test_antagonists_that_do_not_stretch_leave_their_tensions_open():
     """Parallel tendons on a midline that does not stretch: d phi and -d phi, for all tensions."""
     body = soft_pair(RIGID, 0.0)
-    assert solved_pair(body, (0.005, -0.005), throw=False).result == R.undetermined
+    assert solved_pair(body, (0.005, -0.005), throw=False).status == Status.undetermined
     with pytest.raises(cddf.SolveError, match="Other base tensions reach the targets just as well"):
         solved_pair(body, (0.005, -0.005))
-    assert solved_pair(body, (0.005, -0.004), throw=False).result != R.successful
+    assert solved_pair(body, (0.005, -0.004), throw=False).status != Status.successful
 
 
 def test_antagonists_that_stretch_have_their_tensions():
@@ -396,8 +396,14 @@ def test_antagonists_that_stretch_have_their_tensions():
 def test_lanes_that_cannot_reach_harm_no_neighbour():
     """The gradient of a sum over a batch is that of the lanes that reach their target; a held lane has none."""
     batch, slope = by_angle().found, by_angle().slope
-    expected = [R.successful, R.successful, R.unreachable, R.unreachable, R.unphysical]
-    assert codes(batch.result) == [code(result) for result in expected]
+    expected = [
+        Status.successful,
+        Status.successful,
+        Status.unreachable,
+        Status.unreachable,
+        Status.unphysical,
+    ]
+    assert codes(batch.status) == expected
     for i in (0, 1):
         assert lane(batch, i).base_tension[0] == pytest.approx(np.expm1(MU * ANGLES[i]) / A, rel=CLOSED)
         assert slope[i] == pytest.approx(MU * np.exp(MU * ANGLES[i]) / A, rel=1e-8)
@@ -447,7 +453,7 @@ def test_what_no_body_in_space_can_have():
 @pytest.mark.slow
 def test_a_place_off_the_body_is_refused():
     found, _ = lanes_of("curvature")
-    assert codes(found.result)[2:] == [code(R.unphysical)] * 2
+    assert codes(found.status)[2:] == [Status.unphysical] * 2
     assert np.all(np.isnan(found.tip_angle[2:]))
 
 

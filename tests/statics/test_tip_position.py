@@ -11,14 +11,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import code, codes
+from bodies import codes
 from places import ROOT
 from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
 
 import cddf_jax as cddf
 
-R = cddf.RESULTS
 L, d, MU, E, RADIUS = 0.2, 0.005, 0.3, 2e7, 0.006
 STIFFNESS = E * np.pi / 4 * RADIUS**4
 ANGLES = 2 * np.pi / 3 * np.arange(3)
@@ -64,15 +63,15 @@ class Lane(NamedTuple):
     least: float = 0.0
     most: float = 1e3
     tension: np.ndarray | float = np.nan  # wanted
-    result: cddf.RESULTS = R.unphysical
+    status: cddf.Status = cddf.Status.unphysical
 
 
 REACHABLE, BEYOND = tip_of(PULLED), tip_of(PULLED) + np.array([0.01, 0.003, 0.002])
 LANES = [
-    Lane(REACHABLE, tension=LEAST, result=R.successful),
-    Lane(REACHABLE, least=1.5, tension=LEAST + 1.5, result=R.direction_contradicted),  # tendon 3 is paid out
-    Lane(BEYOND, tension=nearest(BEYOND), result=R.unreachable),
-    Lane(tip_of([20.0, 0, 0]), most=5.0, tension=np.array([5.0, 0, 0]), result=R.unreachable),
+    Lane(REACHABLE, tension=LEAST, status=cddf.Status.successful),
+    Lane(REACHABLE, least=1.5, tension=LEAST + 1.5, status=cddf.Status.direction_contradicted),  # tendon 3 is paid out
+    Lane(BEYOND, tension=nearest(BEYOND), status=cddf.Status.unreachable),
+    Lane(tip_of([20.0, 0, 0]), most=5.0, tension=np.array([5.0, 0, 0]), status=cddf.Status.unreachable),
     Lane(REACHABLE * np.nan),
     Lane(REACHABLE, least=-1.0),
     Lane(REACHABLE, least=3.0, most=2.0),
@@ -103,7 +102,7 @@ def reached(lanes_and_derivatives):
 
 
 def test_the_least_tensions_that_reach_a_place_or_come_nearest(reached):
-    assert codes(reached.result) == [code(lane.result) for lane in LANES]
+    assert codes(reached.status) == [lane.status for lane in LANES]
     for i, lane in enumerate(LANES):
         # the nearest place has a level minimum, found to 1e-7 of the tensions by SciPy and by us
         np.testing.assert_allclose(reached.base_tension[i], lane.tension, rtol=2e-7, atol=1e-7)
@@ -148,7 +147,7 @@ def test_two_segments_in_the_plane_reach_what_their_tensions_give(loads):
 def test_two_tendons_in_one_place_leave_their_tensions_open():
     twins = in_plane((None, None))
     found = cddf.solve(twins, cddf.TipPosition(tip_of([20.0, 0, 0])[:2]), nodes=8, throw=False)
-    assert code(found.result) == code(R.undetermined)
+    assert found.status == cddf.Status.undetermined
     assert float(jnp.sum(found.base_tension)) == pytest.approx(20.0, rel=1e-9)
     assert int(found.target_rank) == 1
 
@@ -191,7 +190,7 @@ def test_a_place_is_reached_with_directions_that_fit_where_there_are_some(pull):
     assert not np.any(pulled.direction_contradicted)
     found = cddf.solve(robot, cddf.TipPosition(pulled.tip_position))
     assert not np.any(found.direction_contradicted)
-    assert code(found.result) == code(R.successful)
+    assert found.status == cddf.Status.successful
     np.testing.assert_allclose(found.tip_position, pulled.tip_position, atol=1e-9)
     assert float(jnp.sum(found.base_tension)) <= sum(pull) + 1e-6
 

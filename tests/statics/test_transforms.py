@@ -4,14 +4,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import code, codes, lane, paper_body, paper_plain, replaced, stack, two_slanted_tendons
+from bodies import codes, lane, paper_body, paper_plain, replaced, stack, two_slanted_tendons
 from jax.sharding import AxisType, PartitionSpec
 
 import cddf_jax as cddf
-from cddf_jax.statics.equilibrium import code_of
 
 SAME = 1e-12  # the same operations, in an order that the compiler may change
-R = cddf.RESULTS
 
 
 def assert_same(a, b, tolerance=SAME):
@@ -64,7 +62,7 @@ def test_hard_lanes_are_what_they_are_alone():
     def solved(tension, direction, force, modulus):
         body = cddf.conical(**{**PAIR, "youngs_modulus": modulus})
         found = cddf.solve(body, tension, cddf.Loads(tip_force=force), direction=direction, throw=False)
-        return code_of(found.result), found.load_fraction, found.tip_angle, found.tip_tension
+        return found.status, found.load_fraction, found.tip_angle, found.tip_tension
 
     lanes = tensions, directions, forces, moduli
     together = jax.jit(jax.vmap(solved))(*lanes)
@@ -94,13 +92,13 @@ def test_jit_is_eager():
 GOOD = paper_body("exact", friction_coefficient=0.3)
 LOCKING = replaced(GOOD, youngs_modulus=0.15e6)
 FAILURES = {
-    "NaN modulus": (replaced(GOOD, youngs_modulus=jnp.nan), 30.0, R.unphysical),
-    "negative modulus": (replaced(GOOD, youngs_modulus=-1.4e6), 30.0, R.unphysical),
-    "infinite length": (replaced(GOOD, length=jnp.inf), 30.0, R.unphysical),
-    "no wall": (paper_body("exact", friction_coefficient=0.3, inner_radius=0.014), 30.0, R.unphysical),
-    "negative tension": (GOOD, -30.0, R.unphysical),
-    "NaN tension": (GOOD, jnp.nan, R.unphysical),
-    "locks": (LOCKING, 60.0, R.locked),
+    "NaN modulus": (replaced(GOOD, youngs_modulus=jnp.nan), 30.0, cddf.Status.unphysical),
+    "negative modulus": (replaced(GOOD, youngs_modulus=-1.4e6), 30.0, cddf.Status.unphysical),
+    "infinite length": (replaced(GOOD, length=jnp.inf), 30.0, cddf.Status.unphysical),
+    "no wall": (paper_body("exact", friction_coefficient=0.3, inner_radius=0.014), 30.0, cddf.Status.unphysical),
+    "negative tension": (GOOD, -30.0, cddf.Status.unphysical),
+    "NaN tension": (GOOD, jnp.nan, cddf.Status.unphysical),
+    "locks": (LOCKING, 60.0, cddf.Status.locked),
 }
 NEIGHBOURS = [(GOOD, 30.0), (paper_body("exact", outer_radius=(0.020, 0.018)), 50.0)]
 
@@ -139,8 +137,8 @@ def test_a_failing_lane_reports_itself_and_no_other(failure):
     bodies, tensions = batch_with(failure)
     values, solutions = batch_of_three(bodies, tensions, 0.3)
     expected = FAILURES[failure][2]
-    contradicted = code(R.direction_contradicted)  # the tendons shorten, and are said to slide out
-    assert codes(solutions.result) == [contradicted, code(expected), contradicted]
+    contradicted = cddf.Status.direction_contradicted  # the tendons shorten, and are said to slide out
+    assert codes(solutions.status) == [contradicted, expected, contradicted]
     assert np.all(np.isnan(values[1]))
     for field in (solutions.tension, solutions.position, solutions.normal_force, solutions.error_estimate):
         assert np.all(np.isnan(field[1]))

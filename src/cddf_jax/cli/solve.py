@@ -43,18 +43,19 @@ def solve(
     with stage("loading"):
         from ..files.actuation import read_actuation, read_directions
         from ..reports.solve_report import missed_targets_in_words, solve_as_dict, solve_in_words
-        from ..statics.equilibrium import RESULTS, ended_as, on_host
+        from ..statics.equilibrium import ended_as, on_host
         from ..statics.equilibrium_text import result_in_words
         from ..statics.solve import solve
+        from ..statics.status import Status, words_of
 
     actuation = read_actuation(base_tension, manipulator)
     loads = options.loads_of(read, tip_force, tip_moment, gravity)
     directions = read_directions(direction, manipulator)
     with stage("solving"), within(robot, ValueError):
         equilibrium = on_host(solve(manipulator, actuation, loads, direction=directions, nodes=nodes, throw=False))
-    if ended_as(equilibrium, RESULTS.slack, RESULTS.unreachable):
+    if ended_as(equilibrium, Status.slack, Status.unreachable):
         raise SolveError(missed_targets_in_words(equilibrium, actuation, base_tension))
-    if not ended_as(equilibrium, RESULTS.successful, RESULTS.direction_contradicted, RESULTS.unstable):
+    if not ended_as(equilibrium, Status.successful, Status.direction_contradicted, Status.unstable):
         raise SolveError(result_in_words(equilibrium))
     answer = solve_as_dict(equilibrium, actuation, loads)
     text = solve_in_words(equilibrium, actuation, base_tension, loads)
@@ -73,5 +74,5 @@ def solve(
                 figures |= render(sections_figure(columns), "cross_sections")
             tables = {"solve.json": json_text(answer), "fields.csv": fields_csv(fields_on_grid(equilibrium))}
             write_all(out, figures | tables)
-    if ended_as(equilibrium, RESULTS.unstable):
-        options.stop(RESULTS[equilibrium.result], options.FAILED)
+    if ended_as(equilibrium, Status.unstable):
+        options.stop(words_of(equilibrium.status), options.FAILED)

@@ -14,7 +14,8 @@ from ..quantities import check_range_in_space
 from ..robot.manipulator import Manipulator, in_space as body_in_space
 from ..robot.validation import check_weight
 from ..statics.arguments import check_targets, split_actuation
-from ..statics.equilibrium import RESULTS, Equilibrium, result_of
+from ..statics.equilibrium import Equilibrium
+from ..statics.status import words_of
 from ..units import quantity
 from .body_quantities import OF_RADII
 from .free_numbers import Bounds, FreeNumbers, free_numbers_of
@@ -276,7 +277,7 @@ def _check(
 def _demand_start(problem: DesignProblem, found: DesignEvaluation, limits: Sequence[Limit]) -> None:
     for case, code in zip(problem.cases, np.asarray(found.codes), strict=False):
         if code not in USABLE:
-            said = RESULTS[result_of(code)]
+            said = words_of(code)
             raise InputError(f"design: the start has no equilibrium in {case.name or 'its load case'}: {said}")
     names = [*(str(term.objective) for term in problem.terms), *map(str, limits), *map(str, limits)]
     for name, values in zip(names, (*found.aims, *found.margins, *found.zeros), strict=True):

@@ -87,7 +87,7 @@ class LoadCase(eqx.Module):
         return there.manipulator, replace(self, base_tension=there.base_tension, loads=there.loads)
 
     def solve(self, manipulator: Manipulator, nodes: int = 16) -> Equilibrium:
-        """The equilibrium of the body in this case; look at its `result`."""
+        """The equilibrium of the body in this case; look at its `status`."""
         body = self.body(manipulator)
         return solve(body, self.base_tension, self.loads, direction=self.direction, nodes=nodes, throw=False)
 

@@ -13,7 +13,7 @@ from ..numerics.constrained import Point
 from ..programs.kept import kept_program
 from ..robot.manipulator import Manipulator
 from ..robot.profiles import Scalar
-from ..statics.equilibrium import RESULTS, code_of
+from ..statics.status import Status
 from .body_quantities import BodyView
 from .free_numbers import FreeNumbers, Vector
 from .limits import Limit
@@ -22,12 +22,9 @@ from .objectives import Objective
 
 Answer = TypeVar("Answer", bound=PyTree)
 Part = Float[Array | np.ndarray, " _"]  # of a vector
-USABLE = tuple(  # results with which a search can go on
-    int(code_of(result))
-    for result in (
-        *(RESULTS.successful, RESULTS.direction_contradicted, RESULTS.crossing),
-        *(RESULTS.inaccurate, RESULTS.unstable),
-    )
+USABLE = (  # with which a search can go on
+    *(Status.successful, Status.direction_contradicted, Status.crossing),
+    *(Status.inaccurate, Status.unstable),
 )
 
 
@@ -46,7 +43,7 @@ class DesignEvaluation(NamedTuple):
     aims: tuple[Array, ...]  # (cases, ...) SI, of the terms
     margins: tuple[Array, ...]  # (cases, sides, ...), scaled; negative where a limit is broken
     zeros: tuple[Array, ...]  # (cases, ...), scaled
-    codes: Int[Array, " cases"]  # results of the solves
+    codes: Int[Array, " cases"]  # statuses of the solves
 
 
 class ProgramValues(NamedTuple):
@@ -129,7 +126,7 @@ class DesignProblem(eqx.Module):
 
         def of_case(case: LoadCase) -> tuple[PyTree, Array]:
             view = self.view(z, case)
-            return part(view, bent=True), jnp.asarray(code_of(view.equilibrium.result))
+            return part(view, bent=True), view.equilibrium.status
 
         body = self.body(z)
         values = jax.tree.map(lambda x: x[None], part(BodyView(body, self._places(body)), bent=False))

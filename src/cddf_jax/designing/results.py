@@ -11,7 +11,8 @@ from jaxtyping import Array
 from ..numerics.constrained import ACTIVE, TOLERANCE, LocalMinimum
 from ..robot.manipulator import Manipulator
 from ..robot.named_numbers import unit_of_name
-from ..statics.equilibrium import RESULTS, Equilibrium, code_of, result_of
+from ..statics.equilibrium import Equilibrium
+from ..statics.status import Status, words_of
 from ..units import DIMENSION_OF, Dimension, shown
 from .body_quantities import loop_in_short_steps
 from .load_cases import LoadCase
@@ -139,7 +140,7 @@ def design_of(
     at_start = problem.evaluation(np.append(problem.free.scaled_start, no_heights))
     at_end, unit = outcome.evaluation, abs(unit_of_objective(problem))
     objectives = achieved(problem, at_start, at_end)
-    codes = zip(problem.cases, map(result_of, np.asarray(at_end.codes)), strict=False)  # none without a solve
+    codes = zip(problem.cases, np.asarray(at_end.codes), strict=False)  # none without a solve
     same = indifferent(problem, outcome.z) if outcome.feasible else ()
     result = design_result(local, outcome.violation, has_answer=len(same) < len(problem.terms))
     return Design(
@@ -162,7 +163,7 @@ def design_of(
         chosen=chosen or {},
         cases=problem.cases,
         remarks=(
-            *(f"{case.name or 'the load case'}: {RESULTS[code]}" for case, code in codes if code != RESULTS.successful),
+            *(f"{case.name or 'the load case'}: {words_of(code)}" for case, code in codes if code != Status.successful),
             *(restart_in_words(problem, restart) for restart in outcome.restarts),
             *loops_in_words(problem, outcome.z),
             *(indifference_in_words(problem, outcome.z, i) for i in same),
@@ -184,7 +185,7 @@ def loops_in_words(problem: DesignProblem, z: np.ndarray | Array) -> list[str]:
             continue
         own, error = case.name or "the load case", float(np.max(np.asarray(loop.error_estimate)))
         words = f"{own}: the loop of the tip angle is followed in short steps, with an error estimate of "
-        inaccurate = np.any(code_of(loop.result) == code_of(RESULTS.inaccurate))
+        inaccurate = np.any(loop.status == Status.inaccurate)
         more = ", which is inaccurate; raise nodes" if inaccurate else ""
         found.append(f"{words}{shown(error, 'angle')}{more}")
     return found

@@ -16,7 +16,7 @@ from ..numerics.constrained import (
     optimality,
 )
 from ..progress import each, stage
-from ..statics.equilibrium import RESULTS, code_of
+from ..statics.status import Status
 from .problem import USABLE, DesignEvaluation, DesignProblem, pieces_of
 
 WANDERING = 16  # last stations, which are moved to where limits are broken between the others
@@ -246,7 +246,7 @@ def _sizes(problem: DesignProblem, z: np.ndarray) -> np.ndarray:
         problem.over_the_cases(i, aim) / term.reference
         for i, (aim, term) in enumerate(zip(found.aims, problem.terms, strict=True))
     ]
-    accurate = np.isin(found.codes, USABLE) & (found.codes != code_of(RESULTS.inaccurate))
+    accurate = np.isin(found.codes, USABLE) & (found.codes != Status.inaccurate)
     return np.asarray(sizes, float) if np.all(accurate) else np.full(len(sizes), np.nan)
 
 

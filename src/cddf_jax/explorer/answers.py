@@ -4,14 +4,16 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Int
 
 from ..figures.geometry import lines_along
 from ..mechanics.fields import AnyFields, SpatialFields
 from ..robot.named_numbers import Case
-from ..statics.equilibrium import RESULTS, Equilibrium, ended_as
+from ..statics.equilibrium import Equilibrium, ended_as
 from ..statics.equilibrium_text import result_in_words, wall_remarks
+from ..statics.status import Status
 
-GOOD = (RESULTS.successful, RESULTS.direction_contradicted)
+GOOD = (Status.successful, Status.direction_contradicted)
 
 
 class Picture(NamedTuple):
@@ -24,7 +26,7 @@ class Picture(NamedTuple):
 
     @property
     def good(self) -> bool:
-        """Whether there is something to show; other results have no numbers, or doubtful ones."""
+        """Whether there is something to show; other solves have no numbers, or doubtful ones."""
         return ended_as(self.equilibrium, *GOOD)
 
     @property
@@ -62,7 +64,7 @@ class Taper(NamedTuple):
     strain_there: float
 
 
-def where_good(result: RESULTS, numbers: tuple) -> tuple:
-    """The numbers of a solve; NaN without a good result."""
-    good = (result == GOOD[0]) | (result == GOOD[1])
+def where_good(status: Int[Array, "*lanes"], numbers: tuple) -> tuple:
+    """The numbers of a solve; NaN without a good status."""
+    good = (status == GOOD[0]) | (status == GOOD[1])
     return tuple(jnp.where(good, number, jnp.nan) for number in numbers)

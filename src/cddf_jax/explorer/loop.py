@@ -19,7 +19,7 @@ from ..history.trace import trace
 from ..programs.kept import kept_program
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
-from ..statics.equilibrium import RESULTS, code_of, result_of
+from ..statics.status import Status
 from .controls import tensions_and_loads
 from .model import Exploration
 from .past_moves import NUM_LEGS, PastMoves, SetPoint, Turns, corners
@@ -35,7 +35,7 @@ class EndState(NamedTuple):
 
     front: Array  # (tendons,), up to where, from the base, each slid last
     error_estimate: Array
-    result: Array  # the code
+    status: Array
     position: Array  # (points, components) of the axis
 
 
@@ -56,14 +56,9 @@ class Loop(NamedTuple):
     by_turns: bool  # whether one tendon moved without loads
 
     @property
-    def result(self) -> RESULTS:
-        """How the last step ended."""
-        return result_of(int(self.state.result))
-
-    @property
     def shown(self) -> bool:
         """Whether there are numbers to show."""
-        return self.result in (RESULTS.successful, RESULTS.inaccurate)
+        return int(self.state.status) in (Status.successful, Status.inaccurate)
 
     @property
     def over_tension(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -243,4 +238,4 @@ def _step(
 def _state(history: History, arc_length: Float[ArrayLike, " points"]) -> EndState:
     position = history.at(arc_length).position[-1]
     front = jnp.atleast_1d(history.front[-1])
-    return EndState(front, history.error_estimate[-1], code_of(history.result)[-1], position)
+    return EndState(front, history.error_estimate[-1], history.status[-1], position)

@@ -49,4 +49,4 @@ def _is_exact(table: Measurements, body: Manipulator, setting: BenchSetting) -> 
 def _in_rows(rows: Bench, body: Manipulator) -> dict[str, Array]:
     shown = rows.shown(body, {}, NODES)
     readings = rows.readings(shown, rows.columns, {})
-    return dict(zip(readings, where_good(shown.result, tuple(readings.values())), strict=True))
+    return dict(zip(readings, where_good(shown.status, tuple(readings.values())), strict=True))

@@ -226,7 +226,7 @@ def _over_tension(case: Case, tendon: Int[ArrayLike, ""], pulls: Float[ArrayLike
     def at(pull):
         pulled = eqx.tree_at(lambda c: c.base_tension, case, jnp.asarray(case.base_tension).at[tendon].set(pull))
         equilibrium = _solve(pulled)
-        return where_good(equilibrium.result, (equilibrium.tip_tension[jnp.asarray(tendon)], equilibrium.tip_angle))
+        return where_good(equilibrium.status, (equilibrium.tip_tension[jnp.asarray(tendon)], equilibrium.tip_angle))
 
     return jax.vmap(at)(pulls)
 
@@ -240,4 +240,4 @@ def _taper(case: Case, angle: Float[ArrayLike, ""]) -> tuple:
     reached = _solve(asked)
     numbers = given.tension_loss[0], given.tip_angle, _peak_strain(given)
     there = reached.base_tension[0], _peak_strain(reached)
-    return *where_good(given.result, numbers), *where_good(reached.result, there)
+    return *where_good(given.status, numbers), *where_good(reached.status, there)

@@ -4,8 +4,9 @@ from collections.abc import Iterable, Sequence
 from html import escape
 
 import numpy as np
+from jaxtyping import Array
 
-from ..statics.equilibrium import RESULTS
+from ..statics.status import Status, in_words, words_of
 from .answers import Picture, Taper
 from .loop import Loop
 from .plots import tendon_look
@@ -55,7 +56,7 @@ def numbers_html(picture: Picture) -> str:
         row += [_number(f"tip_tension_{i}", f"{tip:.4f}", "N"), lost]
         rows.append([*row, _number(f"tendon_displacement_{i}", f"{1e3 * travel:.3f}", "mm")])
     head = ("tendon", *["slides"] * several, "base tension", "tip tension", "loss", "pulled in")
-    result = escape(RESULTS[found.result] or "successful", quote=True)
+    result = escape(in_words(found.status), quote=True)
     strip = "".join(f'<div class="tile"><span>{words}</span>{number}</div>' for words, number in tiles)
     strip = f'<div class="tiles" role="status" data-name="result" data-result="{result}">{strip}</div>'
     return strip + _table(head, rows)
@@ -68,7 +69,7 @@ def paragraph(text: str) -> str:
 def loop_html(loop: Loop) -> str:
     """The present state with its past."""
     if not loop.shown:
-        return paragraph(lost(loop.result))
+        return paragraph(lost(loop.state.status))
     tips, name = loop.rows.tip_tension[-1], "past_tip_tension"
     tensions = " and ".join(_number(f"{name}_{i}", f"{tip:.4f}", "N") for i, tip in enumerate(tips, 1))
     angle = _number("past_tip_angle", f"{np.degrees(loop.rows.tip_angle[-1]):.3f}", "deg")
@@ -79,15 +80,15 @@ def loop_html(loop: Loop) -> str:
         error = _number("past_error_estimate", f"{loop.state.error_estimate:.1e}", "")
         text += f"Error estimate {error.strip()}. Loads are steps of this path. Another body begins a new path. "
     from_zero = len(tips) > 1 and bool(np.any(loop.rows.base_tension == 0.0))
-    warning = "" if loop.result == RESULTS.successful else paragraph(DOUBTFUL + UNDETERMINED * from_zero)
+    warning = "" if loop.state.status == Status.successful else paragraph(DOUBTFUL + UNDETERMINED * from_zero)
     return f"{warning}<p>{text}All other numbers are those of a pull from rest.</p>"
 
 
-def lost(result: RESULTS) -> str:
+def lost(status: Array) -> str:
     """Why there are no numbers after a step."""
-    if result == RESULTS.not_converged:
+    if status == Status.not_converged:
         return "The past is lost: a step of this move did not settle. Forget the past to start again."
-    return f"There is no answer with this past: {RESULTS[result]}"
+    return f"There is no answer with this past: {words_of(status)}"
 
 
 def _line(tendon: int) -> str:

@@ -140,7 +140,7 @@ def fields_along(equilibrium: Equilibrium, arc_length: np.ndarray) -> AnyFields:
     """The fields at some arc lengths as NumPy arrays; a solve that failed is refused."""
     fields = evaluated(Equilibrium.at, equilibrium, arc_length)
     if not np.all(np.isfinite(fields.position)):
-        raise InputError("the solve failed, there is no shape to draw; see its result")
+        raise InputError("the solve failed, there is no shape to draw; see its status")
     return fields
 
 

@@ -190,7 +190,7 @@ def _label(history: History, quantity: str, tendon: int) -> str:
 def _steps(history: History, steps: Sequence[int] | None, tendon: int) -> list[int]:
     """Which steps are numbered."""
     if not np.all(np.isfinite(np.asarray(history.tip_angle))):
-        raise InputError("a step of the trace failed, there is no history to draw; see its result")
+        raise InputError("a step of the trace failed, there is no history to draw; see its status")
     return draw.turning_places(_of_tendon(history.base_tension, tendon)) if steps is None else [*map(int, steps)]
 
 

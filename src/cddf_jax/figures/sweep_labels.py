@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..quantities import QUANTITIES
+from ..statics.status import Status
 from ..sweeping.axes import OPTIONS, PATH
-from ..sweeping.one_solve import COMPONENTS, RESULT, RESULT_NAMES
+from ..sweeping.one_solve import COMPONENTS, RESULT
 from ..units import DIMENSION_OF, preferred
 
 if TYPE_CHECKING:
     import xarray
 
-SUCCESSFUL = RESULT_NAMES.index("successful")
 # which part of an output
 PARTS: dict[str, Callable[[Any], str]] = {
     "tendon": lambda number: f"of tendon {number + 1}",
@@ -80,4 +80,4 @@ def name_in_words(name: str) -> str:
 
 def results_in_words(codes: np.ndarray) -> str:
     """The results of the solves that were not successful."""
-    return ", ".join(RESULT_NAMES[code].replace("_", " ") for code in np.unique(codes) if code != SUCCESSFUL)
+    return ", ".join(Status(code).name.replace("_", " ") for code in np.unique(codes) if code != Status.successful)

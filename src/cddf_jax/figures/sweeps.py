@@ -19,10 +19,11 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
 from ..errors import InputError
+from ..statics.status import Status
 from ..sweeping.axes import OPTIONS, PATH
 from ..sweeping.one_solve import RESULT
 from . import looks, style as draw, sweep_labels as labels
-from .sweep_labels import PARTS, SUCCESSFUL, axis_label, results_in_words
+from .sweep_labels import PARTS, axis_label, results_in_words
 
 if TYPE_CHECKING:
     import xarray
@@ -275,7 +276,7 @@ def _draw_curves(axes: Axes, array: "xarray.DataArray", over: str, dots: Sequenc
         if dots:
             style = look | {"linestyle": "none", "markeredgewidth": 0, "alpha": 0.6, "rasterized": x.size > 500}
             style["markersize"] = float(np.clip(60.0 / np.sqrt(x.size), 1.2, 3.5))
-        axes.plot(x, np.where(codes == SUCCESSFUL, y, np.nan), label=label, **style)
+        axes.plot(x, np.where(codes == Status.successful, y, np.nan), label=label, **style)
         for start, end in pairwise(draw.turning_places(x)) if array[over].attrs["is_path"] else ():
             draw.draw_arrow(axes, x[start : end + 1], y[start : end + 1], look["color"])
         curves.append((x, y, codes, look))
@@ -289,7 +290,7 @@ def _draw_curves(axes: Axes, array: "xarray.DataArray", over: str, dots: Sequenc
 
 def _draw_others(axes: Axes, x: np.ndarray, y: np.ndarray, codes: np.ndarray, look: looks.Look) -> None:
     """Doubtful solves as hollow markers, and solves without a number as crosses at the lower edge."""
-    others, there = codes != SUCCESSFUL, np.isfinite(y)
+    others, there = codes != Status.successful, np.isfinite(y)
     if np.any(doubtful := others & there):
         label = f"hollow: doubtful, {results_in_words(codes[doubtful])}"
         hollow = {"linestyle": "none", "markerfacecolor": "white", "markeredgewidth": 0.7, "zorder": 1.9}
@@ -302,7 +303,7 @@ def _draw_others(axes: Axes, x: np.ndarray, y: np.ndarray, codes: np.ndarray, lo
 
 def _draw_maps(panels: Sequence[Axes], arrays: Sequence["xarray.DataArray"], x: str, y: str) -> None:
     """A panel for each array, with one scale of colours beside the last; hatched where nothing is drawn."""
-    sure = [array.where(array[RESULT] == SUCCESSFUL).transpose(y, x) for array in arrays]
+    sure = [array.where(array[RESULT] == Status.successful).transpose(y, x) for array in arrays]
     numbers = [np.ma.masked_invalid(array.values) for array in sure]
     levels = _levels(np.ma.stack(numbers).compressed())
     norm, points = BoundaryNorm(levels, 256), (arrays[0][x].values, arrays[0][y].values)

@@ -11,9 +11,10 @@ from matplotlib.lines import Line2D
 from ..errors import InputError
 from ..quantities import QUANTITIES
 from ..robot.named_numbers import stem_and_tendon
+from ..statics.status import Status
 from ..sweeping.one_solve import RESULT
 from . import looks, space, style as draw
-from .sweep_labels import SUCCESSFUL, axis_label, in_label_units, name_in_words, results_in_words
+from .sweep_labels import axis_label, in_label_units, name_in_words, results_in_words
 
 if TYPE_CHECKING:
     import xarray
@@ -175,7 +176,7 @@ def _draw_dots(axes: Axes, cloud: Cloud, plane: str) -> None:
 
 def _draw_coloured(axes: Axes, tips: np.ndarray, values: np.ndarray, codes: np.ndarray, cloud: Cloud) -> None:
     """Dots, hollow where they are doubtful."""
-    sure, look = codes == SUCCESSFUL, {"cmap": draw.TENSION_COLOURS, "norm": cloud.norm, "zorder": 3}
+    sure, look = codes == Status.successful, {"cmap": draw.TENSION_COLOURS, "norm": cloud.norm, "zorder": 3}
     _scatter(axes, tips[sure], cloud.size, c=values[sure], **look)
     if not np.all(sure):
         edges = draw.TENSION_COLOURS(cloud.norm(values[~sure]))
@@ -191,7 +192,7 @@ def _scatter(axes: Axes, points: np.ndarray, size: float, **look: looks.LookValu
 def _legend(where: Axes | Figure, cloud: Cloud) -> None:
     """A legend for hollow dots and for solves that are not drawn."""
     entries = []
-    if np.any(cloud.codes != SUCCESSFUL):
+    if np.any(cloud.codes != Status.successful):
         look: looks.Look = {"marker": "o", "markerfacecolor": "white", "color": looks.BLACK, "linestyle": "none"}
         entries.append(Line2D([], [], label=f"hollow: doubtful, {results_in_words(cloud.codes)}", **look))
     entries += [Line2D([], [], linestyle="none", label=words) for words in cloud.left_out]

@@ -11,7 +11,7 @@ from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from ..mechanics import space
 from ..mechanics.problem import at_nodes, guarded_section, strain_along, tension_of
@@ -19,8 +19,9 @@ from ..numerics.arrays import cos_sin, zero_as
 from ..numerics.rotations import length_of
 from ..robot.cross_section import SpatialSection, planar
 from ..robot.manipulator import Manipulator
-from ..statics.equilibrium import RESULTS, Dense, code_of, with_words
+from ..statics.equilibrium import Dense
 from ..statics.solve import solve
+from ..statics.status import Status, first_of
 from .fronts import Motion, cut_at, front_of
 from .turns import NO_STEP, Turns
 
@@ -38,7 +39,7 @@ class Onward(NamedTuple):
     stored: Number  # energy in body and tendon, J
     error: Number
     solved: Bool[Array, ""]
-    result: RESULTS
+    status: Int[Array, ""]
 
 
 class Slid(NamedTuple):
@@ -61,9 +62,8 @@ def slid_up_to(body: Manipulator, nodes: int, tension: Number, direction: Number
     found = solve(cut_at(body, front), tension, direction=direction, nodes=nodes, throw=False)
     outside = jnp.sum(tension * body.tendon_compliance * body.tendon_free_length)
     solved = found._dense.solved
-    # the result compares the direction with the travel from rest, which does not matter here
-    contradicted = code_of(found.result) == code_of(RESULTS.direction_contradicted)
-    result = with_words(RESULTS.where(contradicted, RESULTS.successful, found.result))
+    # the status compares the direction with the travel from rest, which does not matter here
+    status = jnp.where(found.status == Status.direction_contradicted, Status.successful, found.status)
     tension, heading, position, pulled_in, stored, error = _zero_unless(
         solved,
         (
@@ -75,7 +75,7 @@ def slid_up_to(body: Manipulator, nodes: int, tension: Number, direction: Number
             found.error_estimate,
         ),
     )
-    return Slid(front, tension, Onward(heading, position, pulled_in, stored, error, solved, result))
+    return Slid(front, tension, Onward(heading, position, pulled_in, stored, error, solved, status))
 
 
 def ends_of_motion(body: Manipulator, nodes: int, motion: Motion, *, refined: bool = True) -> tuple[Number, Slid, Slid]:
@@ -126,8 +126,7 @@ def tips(body: Manipulator, own: Slid, other: Slid, turns: Turns) -> Tip:
     """
     length = jnp.asarray(body.length)
     zero = zero_as((own, length))
-    result = with_words(RESULTS.where(zero > 1, RESULTS.locked, RESULTS.successful))
-    nothing = Onward(*pose_of_base(body, zero), zero, zero, zero, zero == 0, result)
+    nothing = Onward(*pose_of_base(body, zero), zero, zero, zero, zero == 0, first_of((zero > 1, Status.locked)))
     max_turns = turns.open.shape[1]
     slots = jnp.arange(max_turns)
 
@@ -141,7 +140,7 @@ def tips(body: Manipulator, own: Slid, other: Slid, turns: Turns) -> Tip:
         rest = rest._replace(
             error=jnp.maximum(rest.error, jnp.where(own.end < length, missed, 0.0)),
             solved=rest.solved & end.added.solved,  # all equilibria that enter must be known
-            result=_choose(code_of(rest.result) != 0, rest.result, end.added.result),
+            status=_first_failure(rest.status, end.added.status),
         )
         rest = _choose(first, nothing, rest)
         tension = jnp.where(first | (own.end >= length), own.tension, tip_tension)
@@ -149,8 +148,8 @@ def tips(body: Manipulator, own: Slid, other: Slid, turns: Turns) -> Tip:
         new = own, rest, tension
         here = slots == turn.place
         stack = jax.tree.map(lambda x, y: jnp.where(here.reshape(-1, *[1] * y.ndim), y, x), stack, new)
-        result = with_words(RESULTS.where(turn.too_many, RESULTS.too_many_turns, tip.result))
-        return stack, Tip(tension, tip._replace(result=result, solved=tip.solved & ~turn.too_many))
+        status = jnp.where(turn.too_many, Status.too_many_turns, tip.status)
+        return stack, Tip(tension, tip._replace(status=status, solved=tip.solved & ~turn.too_many))
 
     first = jax.tree.map(lambda x: jnp.zeros_like(x, shape=(max_turns, *x.shape[1:])), (own, own))
     empty = first[0], jax.tree.map(lambda x: jnp.broadcast_to(x, (max_turns, *x.shape)), nothing), first[0].end
@@ -168,7 +167,7 @@ def _between(start: Onward, end: Onward) -> Onward:
         end.stored - start.stored,
         jnp.maximum(start.error, end.error),
         start.solved & end.solved,
-        _choose(code_of(start.result) != 0, start.result, end.result),
+        _first_failure(start.status, end.status),
     )
 
 
@@ -180,7 +179,7 @@ def _joined(here: Onward, further: Onward) -> Onward:
         here.stored + further.stored,
         jnp.maximum(here.error, further.error),
         here.solved & further.solved,
-        _choose(code_of(here.result) != 0, here.result, further.result),
+        _first_failure(here.status, further.status),
     )
 
 
@@ -191,6 +190,10 @@ def _zero_unless(good: Bool[Array, ""], tree: Tree) -> Tree:
 
 def _choose(condition: Bool[Array, ""], one: Tree, other: Tree) -> Tree:
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), one, other)
+
+
+def _first_failure(one: Int[Array, ""], other: Int[Array, ""]) -> Int[Array, ""]:
+    return jnp.where(one != Status.successful, one, other)
 
 
 def pose_of_base(body: Manipulator, zero: Number) -> tuple[Heading, Float[Array, " components"]]:

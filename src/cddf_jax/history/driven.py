@@ -5,7 +5,7 @@ slides. It grows throughout the motion. So displacement or angle turns where the
 unknown. Just after a turn it grows with the square of the change in tension; so the search compares square roots.
 
 In space the tip angle also depends on how the rest of the body is turned, which is remembered at each turn. There it
-need not grow throughout a motion. Where it does not, the angle may be missed: the result is then `unreachable`.
+need not grow throughout a motion. Where it does not, the angle may be missed: the status is then `unreachable`.
 """
 
 from collections.abc import Callable

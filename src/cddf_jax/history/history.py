@@ -15,11 +15,12 @@ from ..mechanics.fields import AnyFields, tendons_first
 from ..numerics.arrays import words_or_shapes
 from ..numerics.given_numbers import check_numbers
 from ..robot.manipulator import Manipulator
-from ..statics.equilibrium import RESULTS, code_of, nan_unless, result_of
+from ..statics.equilibrium import nan_unless
+from ..statics.status import Status, in_words, words_of
 from ..units import Dimension, shown
 
 STEPS = 20  # described in words, at most
-_GOOD = [int(code_of(result)) for result in (RESULTS.successful, RESULTS.slack)]
+GOOD = (Status.successful, Status.slack)
 
 
 class States(eqx.Module):
@@ -57,7 +58,7 @@ class History(eqx.Module):
     """The states of a manipulator after each step of a path; the axis of steps comes first.
 
     Numbers of one tendon have the shape (steps,), those of several tendons (steps, tendons).
-    They are NaN where a step failed; `result` says why.
+    They are NaN where a step failed; `status` says why.
     """
 
     base_tension: Float[Array, "steps *tendons"]  # N
@@ -70,7 +71,7 @@ class History(eqx.Module):
     num_turns: Int[Array, " steps"] | None  # how many turns are still remembered; None with several tendons or loads
     tendon_displacement: Float[Array, "steps *tendons"]  # m, pulled in at the base since the straight body
     error_estimate: Float[Array, " steps"]  # of tip tension (relative), tip position (per length), tip angle (rad)
-    result: RESULTS  # how each step ended
+    status: Int[Array, " steps"]  # how each step ended; of `Status`
     _states: States
 
     def __str__(self) -> str:
@@ -166,22 +167,21 @@ def steps_in_words(history: History, steps: Sequence[int]) -> list[str]:
         history: the whole history; it may have further steps between.
         steps: indices from 0.
     """
-    in_words = _step_of_tendons if history.num_turns is None else _step_of_one
+    describe = _step_of_tendons if history.num_turns is None else _step_of_one
     of_steps = ("base_tension", "tip_tension", "tip_angle", "tendon_displacement", "direction", "front")
     states = {name: np.asarray(getattr(history, name))[list(steps)] for name in of_steps}
-    codes, length = np.asarray(code_of(history.result))[list(steps)], float(history._states.manipulator.length)
+    codes, length = np.asarray(history.status)[list(steps)], float(history._states.manipulator.length)
     slack = f"; {'the' if np.ndim(history.base_tension) == 1 else 'a'} tendon is slack, as it would have to push"
     lines = []
     for i, code in enumerate(codes):
-        words = RESULTS[result_of(code)] if np.isnan(states["tip_angle"][i]) else in_words(states, i, length)
-        lines.append(f"{i + 1}: {words}{slack if code == code_of(RESULTS.slack) else ''}")
+        words = words_of(code) if np.isnan(states["tip_angle"][i]) else describe(states, i, length)
+        lines.append(f"{i + 1}: {words}{slack if code == Status.slack else ''}")
     return [f"the last {STEPS} of {len(lines):,} steps:", *lines[-STEPS:]] if len(lines) > STEPS else lines
 
 
 def last_line(history: History) -> str:
     """The largest error estimate, and how the steps ended."""
-    codes = np.asarray(code_of(history.result))
-    ended = "successful" if np.all(np.isin(codes, _GOOD)) else str(history.result)
+    ended = "successful" if np.all(np.isin(history.status, GOOD)) else in_words(history.status)
     known = np.asarray(history.error_estimate)[np.isfinite(history.error_estimate)]
     return f"error estimate {np.max(known, initial=0.0):.1e}; {ended}"
 

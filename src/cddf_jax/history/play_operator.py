@@ -23,8 +23,9 @@ from ..numerics.rotations import as_matrix
 from ..programs.kept import kept_program
 from ..robot.manipulator import Manipulator
 from ..statics.arguments import one_precision
-from ..statics.equilibrium import RESULTS, Dense, code_of, nan_unless, with_words
+from ..statics.equilibrium import Dense, nan_unless
 from ..statics.solve import solve
+from ..statics.status import Status, first_of
 from .congruent_parts import (
     Heading,
     Slid,
@@ -135,7 +136,7 @@ def congruent_history(
         num_turns=jnp.sum(turns.open != NO_STEP, axis=1),
         tendon_displacement=pulled_in,
         error_estimate=error,
-        result=added.result if drive is None else jax.vmap(_with_drive)(added.result, drive, usable),
+        status=added.status if drive is None else _with_drive(added.status, drive, usable),
         _states=CongruentStates(
             manipulator=body,
             nodes=nodes,
@@ -178,11 +179,13 @@ def _as_reached(drive: Drive, missed: Float[Array, " steps"]) -> Drive:
     return drive._replace(slack=drive.slack & False, unreachable=drive.unreachable | drive.slack | far)
 
 
-def _with_drive(result: RESULTS, drive: Drive, usable: Bool[Array, ""]) -> RESULTS:
-    found = RESULTS.where(drive.slack, RESULTS.slack, RESULTS.successful)
-    found = RESULTS.where(code_of(result) == 0, found, result)
-    found = RESULTS.where(drive.unreachable, RESULTS.unreachable, found)
-    return with_words(RESULTS.where(usable, found, RESULTS.unphysical))
+def _with_drive(status: Int[Array, " steps"], drive: Drive, usable: Bool[Array, " steps"]) -> Int[Array, " steps"]:
+    return first_of(
+        (~usable, Status.unphysical),
+        (drive.unreachable, Status.unreachable),
+        (status != Status.successful, status),
+        (drive.slack, Status.slack),
+    )
 
 
 def follow(

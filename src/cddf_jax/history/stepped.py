@@ -11,7 +11,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from ..mechanics.fields import Fields
 from ..mechanics.problem import lay_out
@@ -21,7 +21,8 @@ from ..programs.kept import kept_program
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..statics.arguments import harmless, is_physical
-from ..statics.equilibrium import RESULTS, first_of, nan_unless, with_words
+from ..statics.equilibrium import nan_unless
+from ..statics.status import Status, first_of
 from .cells import Cells, cut_into_cells, forces_along
 from .history import Energies, History, States
 from .instants import (
@@ -44,6 +45,7 @@ from .path import Path, given_path
 from .short_step import Ends
 
 Number = Float[Array, ""]
+Flags = Bool[Array, " steps"]
 ACCURACY = 3e-2  # a step with a larger error estimate is called inaccurate
 SAFETY = 2.0  # factor on the differences of the passes in the error estimate
 LEAST_ERROR = 1e-5  # the error that the softened law and the stretch of stiff tendons may cause
@@ -212,7 +214,7 @@ def stepped_history(manipulator: Manipulator, path: Path, start: SteppedStates |
         num_turns=None,
         tendon_displacement=ends.displacement,
         error_estimate=error,
-        result=jax.vmap(_result)(physical, good, crossing[0], error, slack),
+        status=_status(physical, good, crossing[0], error, slack),
         _states=states,
     )
 
@@ -276,24 +278,22 @@ def angles_along(
     return tips_along(manipulator, path, Following((), 4 * nodes, short_steps)).heading
 
 
-def result_of_tips(tips: Tips) -> RESULTS:
+def status_of_tips(tips: Tips) -> Int[Array, " steps"]:
     """How each step ended."""
     physical, good, crossing = (flag > 0 for flag in (tips.physical, tips.good, tips.crossing))
     fine = jnp.zeros_like(tips.heading)
-    return with_words(jax.vmap(_result)(physical, good, crossing, fine, fine > 0))
+    return _status(physical, good, crossing, fine, fine > 0)
 
 
-def _result(
-    physical: Bool[Array, ""], good: Bool[Array, ""], crossing: Bool[Array, ""], error: Number, slack: Bool[Array, ""]
-) -> RESULTS:
-    return with_words(
-        first_of(
-            (~physical, RESULTS.unphysical),
-            (~good, RESULTS.not_converged),
-            (crossing, RESULTS.crossing),
-            (error > ACCURACY, RESULTS.inaccurate),
-            (slack, RESULTS.slack),
-        )
+def _status(
+    physical: Flags, good: Flags, crossing: Flags, error: Float[Array, " steps"], slack: Flags
+) -> Int[Array, " steps"]:
+    return first_of(
+        (~physical, Status.unphysical),
+        (~good, Status.not_converged),
+        (crossing, Status.crossing),
+        (error > ACCURACY, Status.inaccurate),
+        (slack, Status.slack),
     )
 
 
@@ -315,16 +315,16 @@ def squeezed(history: History) -> History:
 def after_first(history: History) -> History:
     """The history without its first step. Where the first step failed, all steps count as failed."""
 
-    def apart(history: History) -> tuple[States, RESULTS]:
-        return history._states, history.result
+    def apart(history: History) -> tuple[States, Array]:
+        return history._states, history.status
 
     good, states = jnp.isfinite(history.tip_angle[0]), history._states
     assert isinstance(states, SteppedStates)
     passes = jax.tree.map(lambda x: x[:, 1:], states.passes)
-    result = jax.tree.map(lambda x: jnp.where(good, x[1:], x[:1]), history.result)
+    status = jnp.where(good, history.status[1:], history.status[:1])
     numbers = eqx.tree_at(apart, history, (None, None))
     numbers = nan_unless(good, jax.tree.map(lambda x: x[1:], numbers))
-    own = eqx.tree_at(lambda s: s.passes, states, passes), with_words(result)
+    own = eqx.tree_at(lambda s: s.passes, states, passes), status
     return eqx.tree_at(apart, numbers, own, is_leaf=lambda x: x is None)
 
 

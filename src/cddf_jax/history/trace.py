@@ -18,10 +18,11 @@ from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator, in_space
 from ..robot.validation import check_weight
 from ..statics.arguments import check_nodes, refuse_batch
-from ..statics.equilibrium import RESULTS, code_of, nan_unless
+from ..statics.equilibrium import nan_unless
 from ..statics.response import tip_compliance
+from ..statics.status import Status, words_of
 from ..statics.targets import Displacement, TipAngle
-from .history import History
+from .history import GOOD, History
 from .path import Driven, Path, as_numbers, given_path
 from .play_operator import Before, CongruentStates, congruent_history
 from .stepped import ACCURACY, Following, SteppedStates, after_first, squeezed, stepped_history
@@ -56,9 +57,9 @@ def trace(
         base_tension: T_base >= 0, N, after each step, in the order of time: (steps,) for one tendon, or (steps,
             tendons). Between two steps the tensions change linearly. `Displacement([...])`, m, after each step is also
             possible, and for one tendon without loads `TipAngle([...])`, rad; then the tensions are found. In space a
-            tip angle must grow while the tendon is pulled; where it does not, the result of the step is `unreachable`.
+            tip angle must grow while the tendon is pulled; where it does not, the status of the step is `unreachable`.
             Several tendons may have an entry (steps,) each, some of them a `Displacement`. A tendon that would have to
-            push is slack until it is pulled in again. The result of such a step is `slack`, which is not an error; its
+            push is slack until it is pulled in again. The status of such a step is `slack`, which is not an error; its
             displacement is that at which the tendon became slack.
         loads: `Loads`. Each of tip_force, tip_moment and gravity either acts already before the first step and stays,
             or has a leading axis of steps, one load after each step; then it starts from zero. So gravity can rest on
@@ -72,7 +73,7 @@ def trace(
             `trace(body, [0.0], start=trace(body, [0.0]))`, and give the same number of steps each time.
         nodes: Gauss nodes in each smooth piece of the body, 4 or more; static. With several tendons or loads the body
             is cut into four times as many cells.
-        max_turns: how many turns can be remembered at once, 1 or more; static. Where there are more, the result of the
+        max_turns: how many turns can be remembered at once, 1 or more; static. Where there are more, the status of the
             step is `too_many_turns`. A loop closes when a tension passes the turn before: then two turns are forgotten.
             With several tendons or loads there is no such limit.
         short_steps: into how many short steps each step is divided with several tendons or loads, 2 or more; static. A
@@ -250,15 +251,15 @@ def _before(before: ArrayLike | Literal["rest"], start: History | None, dtype: j
 
 
 def _raise_if_failed(history: History) -> None:
-    codes = code_of(history.result)
+    codes = history.status
     if isinstance(codes, Tracer) or np.ndim(codes) != 1:
         return
-    failed = ~np.isin(np.asarray(codes), [code_of(result) for result in (RESULTS.successful, RESULTS.slack)])
+    failed = ~np.isin(np.asarray(codes), GOOD)
     if not np.any(failed):
         return
     step = int(np.argmax(failed))
-    words = RESULTS[jax.tree.map(lambda code: code[step], history.result)]
-    if isinstance(history._states, SteppedStates) and codes[step] == code_of(RESULTS.inaccurate):
+    words = words_of(codes[step])
+    if isinstance(history._states, SteppedStates) and codes[step] == Status.inaccurate:
         words = f"The error estimate exceeds {ACCURACY:g}: raise short_steps= and nodes=, or give throw=False."
     raise SolveError(f"step {step} of the trace, {_in_newton(history.base_tension[step])}: {words}")
 
@@ -314,8 +315,7 @@ def _(history: History, *, push: ArrayLike | Sequence[float] | None = None, shor
     path = Path(tension, jnp.zeros_like(tension), jax.tree.map(lambda x: x[None], pushed))
     after = stepped_history(states.manipulator, path, states, Following((), states.num_cells, short_steps))
 
-    codes = code_of(after.result)
-    if not isinstance(codes, Tracer) and np.ndim(codes) == 1 and np.any(np.isnan(after.tip_angle)):
+    if not isinstance(after.status, Tracer) and np.ndim(after.status) == 1 and np.any(np.isnan(after.tip_angle)):
         raise SolveError("tip_compliance: no equilibrium was found under the push; push less, or raise short_steps=")
 
     def pose(history: History) -> Float[Array, "3"]:

@@ -30,7 +30,7 @@ from ..quantities import TAKE_THE_PLANE
 from ..robot.loads import Loads, loads_in_space
 from ..robot.manipulator import Manipulator, in_space
 from ..robot.validation import check_weight
-from ..statics.equilibrium import RESULTS, Equilibrium
+from ..statics.equilibrium import Equilibrium
 from ..statics.solve import solve
 from ..units import shown
 from .course import WITHOUT, Course, Shown
@@ -47,7 +47,7 @@ class Evaluation(NamedTuple):
 
     readings: dict[str, np.ndarray]  # by column, (rows,), SI
     derivatives: dict[str, np.ndarray]  # by column, (rows, parameters), in the flat order of the parameters
-    results: RESULTS  # how the solves ended
+    status: Int[Array, " rows"]  # how the solves ended
     against: np.ndarray  # (rows, tendons), whether a tendon travels against its direction
     by_base: dict[str, np.ndarray]  # by column, (rows, directions), by the readings of base tension; `Bench.along`
 
@@ -179,7 +179,7 @@ class Bench(eqx.Module):
                 found.tip_tension,
                 found.tip_angle,
                 found.tip_position,
-                found.result,
+                found.status,
                 found.direction_contradicted,
                 self.setting.markers_on(found),
             )
@@ -279,14 +279,14 @@ def _evaluate(
         parameters, shift = unravel(flat)
         shown = bench._shifted(shift, along).shown(manipulator, parameters, nodes)
         readings = bench.readings(shown, every, parameters)
-        return readings, (readings, shown.result, shown.direction_contradicted)
+        return readings, (readings, shown.status, shown.direction_contradicted)
 
-    derivatives, (readings, results, against) = jax.jacfwd(observe, has_aux=True)(flat)
+    derivatives, (readings, status, against) = jax.jacfwd(observe, has_aux=True)(flat)
     by_parameter, by_base = (
         {column: slope[:, part] for column, slope in derivatives.items()}
         for part in (slice(flat.size - len(along)), slice(flat.size - len(along), None))
     )
-    return Evaluation(readings, by_parameter, results, against, by_base)
+    return Evaluation(readings, by_parameter, status, against, by_base)
 
 
 class BenchModel(eqx.Module):

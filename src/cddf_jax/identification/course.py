@@ -15,14 +15,13 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 from ..errors import InputError
 from ..history.history import History
 from ..history.path import given_path
-from ..history.stepped import Following, result_of_tips, tips_along
+from ..history.stepped import Following, status_of_tips, tips_along
 from ..history.trace import trace
 from ..measurements.holds import NO_STEP
 from ..measurements.jitter import Steady, without_jitter
 from ..measurements.table import Measurements
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
-from ..statics.equilibrium import RESULTS
 from .parameters import with_deviation
 from .tension_before import REST, Before, Past, Start, past_of, starts_of
 
@@ -44,7 +43,7 @@ class Shown(NamedTuple):
     tip_tension: Float[Array, "rows tendons"]
     tip_angle: Float[Array, " rows"]
     tip_position: Float[Array, "rows components"]
-    result: RESULTS
+    status: Int[Array, " rows"]
     direction_contradicted: Bool[Array, "rows tendons"]
     markers: Float[Array, "rows markers components"] | None = None
 
@@ -166,13 +165,13 @@ class Course(eqx.Module):
             if self.short_steps is not None:
                 return self._in_short_steps(here, tension, force, loads_with, nodes)
             found = trace(here, tension[:, 0], nodes=nodes, max_turns=self.max_turns, throw=False)
-            return found.tip_tension[:, None], found.tip_angle, found.tip_position, found.result, markers_on(found)
+            return found.tip_tension[:, None], found.tip_angle, found.tip_position, found.status, markers_on(found)
 
         force = None if self.tip_force is None else jnp.asarray(self.tip_force)
         every = jax.vmap(one)(tension, force, deviation)
         step = self.step + (self.past is not None)
-        tip_tension, angle, position, result, markers = jax.tree.map(lambda x: x[self.trial, step], every)
-        return Shown(tip_tension, angle, position, result, jnp.zeros(tip_tension.shape, bool), markers)
+        tip_tension, angle, position, status, markers = jax.tree.map(lambda x: x[self.trial, step], every)
+        return Shown(tip_tension, angle, position, status, jnp.zeros(tip_tension.shape, bool), markers)
 
     def _in_short_steps(
         self, body: Manipulator, tension: Array, force: Array | None, loads_with: LoadsWith, nodes: int
@@ -185,7 +184,7 @@ class Course(eqx.Module):
         path = path._replace(resting=jax.tree.map(lambda x: jnp.asarray(x, float), resting))
         path = path.behind(tension[0]) if num_before else path
         tips = tips_along(body, path, Following((), CELLS * nodes, self.short_steps))
-        return tips.tension, tips.heading, tips.position, result_of_tips(tips), None
+        return tips.tension, tips.heading, tips.position, status_of_tips(tips), None
 
 
 def course_along(

@@ -25,7 +25,7 @@ from ..measurements.table import Measurements
 from ..numerics.given_numbers import check_numbers
 from ..progress import each
 from ..robot.manipulator import Manipulator
-from ..statics.equilibrium import NOTEWORTHY, RESULTS
+from ..statics.status import NOTEWORTHY, words_of
 from .bench import Bench, Pulley, experiment_of
 from .course import course_of, has_history
 from .fit import Fit
@@ -231,10 +231,10 @@ def _rows(
         slopes = {"pulling_tension": np.asarray(jax.jacfwd(read)(flat))}
     else:
         shown = experiment.evaluate(body, parameters, nodes)
-        values, slopes, codes = shown.readings, shown.derivatives, shown.results
-        for code in NOTEWORTHY:
-            count = int(np.sum(codes == code))
-            warnings += [f"{count} of {len(experiment.base_tension)} rows: {RESULTS[code]}"] if count else []
+        values, slopes = shown.readings, shown.derivatives
+        for status in NOTEWORTHY:
+            count = int(np.sum(np.asarray(shown.status) == status))
+            warnings += [f"{count} of {len(experiment.base_tension)} rows: {words_of(status)}"] if count else []
     deviations = [_deviation(candidate.noise[column], values[column])[:, None] for column in experiment.columns]
     with np.errstate(divide="ignore", invalid="ignore"):  # a reading of 0 whose noise has no floor counts as nothing
         scaled = [slopes[column] * size / s for column, s in zip(experiment.columns, deviations, strict=True)]

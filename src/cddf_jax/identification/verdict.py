@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from jaxtyping import Array, Int
 
 from ..estimation.determination import IDENTIFIED, NOT_IDENTIFIED, Determination
 from ..estimation.remarks import EXACT
@@ -16,7 +17,7 @@ from ..measurements.readings import of_shape
 from ..measurements.table import Measurements
 from ..measurements.table_warnings import warnings_of
 from ..measurements.trials import repeated_tables
-from ..statics.equilibrium import NOTEWORTHY, RESULTS, code_of
+from ..statics.status import NOTEWORTHY, Status, words_of
 from ..units import preferred, shown
 from .bench import Bench, BenchModel
 from .camera import frame_hint
@@ -34,13 +35,13 @@ SHOWN = 4  # levels that a warning names
 LARGEST_MOVE = 0.5  # standard errors; a larger error by short steps gives a warning
 AGAINST = "tendons travel against the direction that was found for them"
 MOST = 0.5  # of a table's rows; with more rows without a solution the fit fails
-OUTSIDE = {  # results of rows without a solution, by their names in messages
-    "not physical": RESULTS.unphysical,
-    "locked": RESULTS.locked,
-    "not converged": RESULTS.not_converged,
-    "load limit": RESULTS.load_limit,
-    "crossing": RESULTS.crossing,
-    "unstable": RESULTS.unstable,
+OUTSIDE = {  # statuses of rows without a solution, by their names in messages
+    "not physical": Status.unphysical,
+    "locked": Status.locked,
+    "not converged": Status.not_converged,
+    "load limit": Status.load_limit,
+    "crossing": Status.crossing,
+    "unstable": Status.unstable,
 }
 
 
@@ -49,13 +50,13 @@ class SolveResults(NamedTuple):
 
     name: str
     table: Measurements
-    results: RESULTS
+    status: Int[Array, " rows"]
     contradicted: np.ndarray  # (rows,), whether a tendon travels against its direction, which the table did not state
     read: np.ndarray  # (rows,), whether there is a reading; the other rows do not count
 
-    def ended(self, *codes: RESULTS) -> np.ndarray:
-        """(rows,), whether there is a reading, and the solve ended with one of these results."""
-        return np.isin(np.asarray(code_of(self.results)), [int(code_of(code)) for code in codes]) & self.read
+    def ended(self, *statuses: Status) -> np.ndarray:
+        """(rows,), whether there is a reading, and the solve ended with one of these statuses."""
+        return np.isin(np.asarray(self.status), statuses) & self.read
 
 
 def solve_results(parameters: Parameters, tables: Sequence[Measurements], model: BenchModel) -> Iterator[SolveResults]:
@@ -65,9 +66,9 @@ def solve_results(parameters: Parameters, tables: Sequence[Measurements], model:
             shown = experiment.evaluate(model.manipulator, parameters, model.nodes)
             found = [way is None for way in experiment.direction]  # a direction that the table states is not doubted
             against = np.any(np.asarray(shown.against)[:, found], axis=1)
-            contradicted = np.asarray(code_of(shown.results)) == int(code_of(RESULTS.direction_contradicted))
+            contradicted = np.asarray(shown.status) == Status.direction_contradicted
             read = np.any([table.has(column) for column in table.columns if is_reading(column)], axis=0)
-            yield SolveResults(name, table, shown.results, contradicted & against & read, read)
+            yield SolveResults(name, table, shown.status, contradicted & against & read, read)
 
 
 def doubt(ends: Sequence[SolveResults]) -> str:
@@ -144,12 +145,12 @@ def fit_warnings(fit: "Fit") -> list[str]:
             "is softer in torsion or shear than its bending stiffness suggests"
         )
     for solves in fit.solve_results:
-        for code in NOTEWORTHY:
-            contradicted = code is RESULTS.direction_contradicted
-            which = solves.contradicted if contradicted else solves.ended(code)
+        for status in NOTEWORTHY:
+            contradicted = status is Status.direction_contradicted
+            which = solves.contradicted if contradicted else solves.ended(status)
             if np.any(which):
                 where = f"{np.count_nonzero(which)} of {np.count_nonzero(solves.read)} rows"
-                found.append(f"{where}, {rows_in_words(named_rows([solves.table], [which]))}: {RESULTS[code]}")
+                found.append(f"{where}, {rows_in_words(named_rows([solves.table], [which]))}: {words_of(status)}")
     return found
 
 

@@ -91,10 +91,9 @@ class Plane:
         """The strain less that at rest."""
         return strain
 
-    def bend(self, width: Number, strain: Array, guess: Array | None, start: Array) -> tuple[Array, Array]:
-        """The heading at the nodes and at the end of an element."""
-        nodes, end = totals(width, strain)
-        return start + nodes, start + end
+    def heading_rate(self, guess: Array | None, strain: Array) -> Array:
+        """The rate of the heading along s, from a guess of the heading."""
+        return strain
 
     def axis(self, heading: Float[Array, "*points"], strain: Array) -> Float[Array, "*points 2"]:
         """The derivative of the position along s: the unit vector t."""
@@ -118,9 +117,17 @@ class Plane:
         at_nodes = jax.vmap(bending.turning, (0, 0, 0, None, 0))
         return at_nodes(planar(section), strain, tension, direction, by_loads)
 
-    def totals_of_turning(self, width: Number, turning: Array, factor: Array, reverses: bool) -> Totals:
-        """The integral of |psi'| times a factor over an element."""
-        return totals_of_magnitude(width, factor * turning) if reverses else totals(width, factor * jnp.abs(turning))
+    def scaled(self, turning: Array, factor: Array) -> Array:
+        """The turning of each tendon times a factor."""
+        return factor * turning
+
+    def size(self, turning: Array) -> Array:
+        """|psi'|."""
+        return jnp.abs(turning)
+
+    def totals_of_turning(self, width: Number, turning: Array, reverses: bool) -> Totals:
+        """The integral of |psi'| over an element."""
+        return totals_of_magnitude(width, turning) if reverses else totals(width, jnp.abs(turning))
 
     def pointing(self, section: AnySection, strain: Array) -> Array:
         """Where the tendons point in the frame of the cross-section: angles alpha, rad."""
@@ -218,10 +225,9 @@ class Space:
     def elastic(self, section: AnySection, strain: Array) -> Array:
         return strain - spatial(section).rest
 
-    def bend(self, width: Number, strain: Array, guess: Array | None, start: Array) -> tuple[Array, Array]:
+    def heading_rate(self, guess: Array | None, strain: Array) -> Array:
         assert guess is not None
-        nodes, end = totals(width, turned_by(guess, space.curvature_of_strain(strain)))
-        return start + nodes, start + end
+        return turned_by(guess, space.curvature_of_strain(strain))
 
     def axis(self, heading: Float[Array, "*points 4"], strain: Array) -> Float[Array, "*points 3"]:
         return space.axis_in_fixed_frame(heading, strain)
@@ -247,10 +253,14 @@ class Space:
             turn = jax.vmap(space.turn_vectors)(strain, tangent, slope_in_element(width, tangent))
         return turn if section.present is None else jnp.where(section.present[..., None], turn, 0.0)
 
-    def totals_of_turning(self, width: Number, turning: Array, factor: Array, reverses: bool) -> Totals:
-        if reverses:
-            return totals_of_length(width, factor[..., None] * turning)
-        return totals(width, factor * length_of(turning))
+    def scaled(self, turning: Array, factor: Array) -> Array:
+        return factor[..., None] * turning
+
+    def size(self, turning: Array) -> Array:
+        return length_of(turning)
+
+    def totals_of_turning(self, width: Number, turning: Array, reverses: bool) -> Totals:
+        return totals_of_length(width, turning) if reverses else totals(width, length_of(turning))
 
     def pointing(self, section: AnySection, strain: Array) -> Array:
         """Unit tangents."""

@@ -7,6 +7,7 @@ the shape from the last unknowns, and new unknowns from that shape. With one unl
 depend on r, see `Problem.is_quadrature`, and one iteration is exact.
 """
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -33,9 +34,9 @@ from .problem import (
     ones_at_base,
     starts_of_newton,
     strain_of,
-    tension_of,
     unbent,
 )
+from .slack import Tensions, tensions_along
 
 JOINT_STEPS = 6  # of the fixed point of r beyond a joint: r changes the angle there by mu d d' kappa only
 LAST_GAIN = 64.0  # times the tolerance: with a larger change the iteration goes on, also where it converges fast
@@ -101,20 +102,21 @@ def _at_base(problem: Problem, whole: bool) -> State:
 
 def _along_element(problem: Problem, start: State, part: Part) -> tuple[State, State, Array]:
     """The states at the nodes and at the end of an element, and the elastic strain at the nodes."""
-    geometry, section, guess, width = problem.geometry, part.section, part.guess, part.width
-    spent = _onwards(start.pull.spent, width, spent_rate(problem.direction, section, guess.ratio))
-    tension = tension_of(section, problem.base_tension, Pull(guess.ratio, spent[0]))
-    acting = guess.frame, _moments(problem, guess), part.force, part.strain
-    strain = jax.vmap(geometry.strain)(section, tension, *acting)
-    heading, axis, moment_rate = _headings(problem, start, part, strain)
-    turning = geometry.turning(width, section, strain, tension, problem.direction, moment_rate)
-    growth, wrap = _turned(problem, start, part, turning)
-    moment = _onwards(start.moment, width, jnp.zeros_like(acting[1]) if moment_rate is None else moment_rate)
-    position = _onwards(start.position, width, axis)
+    spending = spent_rate(problem.direction, part.section, part.guess.ratio)
+    spent = _onwards(start.pull.spent, part.width, spending)
+    at = part.section, problem.base_tension, start.pull, Pull(part.guess.ratio, spent[0]), part.width, spending
+    tensions = tensions_along(*at)
+    strains = [_strain(problem, part, tension) for tension in tensions.parts]
+    heading, axis, moment_rate = _headings(problem, start, part, tensions, strains)
+    growth, wrap = _turned(problem, start, part, tensions, strains, moment_rate)
+    moment = _onwards(
+        start.moment, part.width, 0.0 * _moments(problem, part.guess) if moment_rate is None else moment_rate
+    )
+    position = _onwards(start.position, part.width, axis)
     ratio = [start.ratio + problem.direction * each for each in growth]
     rows = zip(map(Pull, ratio, spent), heading, moment, wrap, position, strict=True)
     nodes, end = (State(pull, phi, m, None, None, theta, place) for pull, phi, m, theta, place in rows)
-    return nodes, end, jax.vmap(geometry.elastic)(section, strain)
+    return nodes, end, jax.vmap(problem.geometry.elastic)(part.section, tensions.at_nodes(strains))
 
 
 Both = tuple[Array | None, Array | None]  # a value at the nodes of an element, and at its end
@@ -128,22 +130,38 @@ def _onwards(start: Array | None, width: Number, rate: Array | None) -> Both:
     return start + nodes, start + end
 
 
-def _headings(problem: Problem, start: State, part: Part, strain: Array) -> tuple[Both, Array | None, Array | None]:
+def _strain(problem: Problem, part: Part, tension: Array) -> Array:
+    """The strain at the nodes of an element."""
+    acting = part.guess.frame, _moments(problem, part.guess), part.force, part.strain
+    return jax.vmap(problem.geometry.strain)(part.section, tension, *acting)
+
+
+def _headings(
+    problem: Problem, start: State, part: Part, tensions: Tensions, strains: list[Array]
+) -> tuple[Both, Array | None, Array | None]:
     """The headings of an element; the axis t and M_ext' at its nodes, which follow from the new headings."""
     if start.heading is None:
         return (None, None), None, None
-    heading = problem.geometry.bend(part.width, strain, part.guess.frame, start.heading)
-    axis = problem.geometry.axis(heading[0], strain)
-    return heading, axis, None if problem.loads is None else problem.geometry.moment_rate(axis, part.force)
+    geometry = problem.geometry
+    nodes, end = tensions.totals(part.width, [geometry.heading_rate(part.guess.frame, strain) for strain in strains])
+    heading = start.heading + nodes, start.heading + end
+    axis = geometry.axis(heading[0], tensions.at_nodes(strains))
+    return heading, axis, None if problem.loads is None else geometry.moment_rate(axis, part.force)
 
 
-def _turned(problem: Problem, start: State, part: Part, turning: Array) -> tuple[tuple[Array, Array], Both]:
+def _turned(
+    problem: Problem, start: State, part: Part, tensions: Tensions, strains: list[Array], moment_rate: Array | None
+) -> tuple[tuple[Array, Array], Both]:
     """The gains of r, over the direction, and the wrap angle where it is asked for."""
-    integrate, ratio = problem.geometry.totals_of_turning, part.guess.ratio
-    growth = integrate(part.width, turning, ratio_factor(part.section, ratio), problem.reverses)
+    geometry, direction = problem.geometry, problem.direction
+    integrate, size = partial(geometry.totals_of_turning, reverses=problem.reverses), geometry.size
+    given = zip(strains, tensions.parts, strict=True)
+    turning = [geometry.turning(part.width, part.section, *each, direction, moment_rate) for each in given]
+    factor = ratio_factor(part.section, part.guess.ratio)
+    growth = tensions.totals(part.width, [geometry.scaled(each, factor) for each in turning], integrate, size)
     if start.wrap_angle is None:
         return growth, (None, None)
-    nodes, end = integrate(part.width, turning, jnp.ones_like(ratio), problem.reverses)
+    nodes, end = tensions.totals(part.width, turning, integrate, size)
     return growth, (start.wrap_angle + nodes, start.wrap_angle + end)
 
 

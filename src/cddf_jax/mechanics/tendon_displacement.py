@@ -1,10 +1,14 @@
 """How far tendons slide at the base: by the length of their paths through the body, and by their own stretch."""
 
+import jax
 import jax.numpy as jnp
+from jaxtyping import Array
 
+from ..robot.cross_section import AnySection
 from .bending import stretch_rate
-from .friction import PerTendon
-from .problem import Problem, State, at_nodes, strain_along, tension_of
+from .friction import PerTendon, Pull, spent_rate
+from .problem import Number, Problem, State
+from .slack import tensions_along
 
 
 def tendon_displacement(problem: Problem, state: State) -> PerTendon:
@@ -14,10 +18,20 @@ def tendon_displacement(problem: Problem, state: State) -> PerTendon:
         problem: the body.
         state: at its nodes.
     """
-    body = problem.manipulator
+    body, cut, geometry = problem.manipulator, problem.elements, problem.geometry
+    spending = spent_rate(problem.direction, problem.nodes, state.ratio)
+    spent = None if spending is None else cut.integrate(spending)[0][:-1]
+
+    def gain(
+        width: Number, section: AnySection, state: State, spending: Array | None, spent: Array | None
+    ) -> PerTendon:
+        start = Pull(jnp.ones_like(state.ratio[0]), spent)
+        tensions = tensions_along(section, problem.base_tension, start, state.pull, width, spending)
+        at = state.heading, state.moment, state.force, state.strain
+        strains = [jax.vmap(geometry.strain)(section, tension, *at) for tension in tensions.parts]
+        slip = jax.vmap(geometry.slip_rate, (0, 0, 0, None))
+        rates = [slip(section, *each, body.tendon_compliance) for each in zip(strains, tensions.parts, strict=True)]
+        return tensions.totals(width, rates)[1]
+
     outside = stretch_rate(body.tendon_compliance, problem.base_tension) * body.tendon_free_length
-    tension = tension_of(problem.nodes, problem.base_tension, state.pull)
-    strain = strain_along(problem.nodes, problem.base_tension, state)
-    slip_rate = at_nodes(problem.geometry.slip_rate, (0, 0, 0, None))
-    rate = slip_rate(problem.nodes, strain, tension, body.tendon_compliance)
-    return jnp.sum(problem.elements.gain(rate), axis=0) + outside
+    return jnp.sum(jax.vmap(gain)(cut.width, problem.nodes, state, spending, spent), axis=0) + outside

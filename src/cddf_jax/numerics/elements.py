@@ -37,7 +37,8 @@ class Rule(NamedTuple):
     weights: np.ndarray  # (p,) integral over the element
     totals: np.ndarray  # (p + 1, p) integral from 0 to each node and to 1
     differentiation: np.ndarray  # (p, p) derivative at each node
-    interpolation: np.ndarray  # (p + 1, p + 1) values at 0 and the nodes -> Legendre coefficients
+    series: np.ndarray  # (p, p) values at the nodes -> Legendre coefficients
+    interpolation: np.ndarray  # (p + 1, p + 1) likewise of the values at 0 and the nodes
     ends: np.ndarray  # (2, p) values at the nodes -> their polynomial at 0 and at 1
     barycentric: np.ndarray  # (p,) barycentric weights of the nodes
     points: np.ndarray  # (p + 2,) 0, the nodes and 1
@@ -64,6 +65,7 @@ def gauss_rule(order: int) -> Rule:
         @ series
         / 2,
         differentiation=2 * np.stack([legendre.legval(roots, legendre.legder(row)) for row in identity], 1) @ series,
+        series=series,
         interpolation=np.linalg.inv(legendre.legvander(points[:-1], order)),
         ends=legendre.legvander(np.array([-1.0, 1.0]), order - 1) @ series,
         barycentric=barycentric / np.max(np.abs(barycentric)),
@@ -141,6 +143,49 @@ def totals_of_length(
     parts = parts + step * _missed(_hermite(points, slopes, step[..., None]))
     sums = times(np.tril(np.ones((len(step), len(step)))), width * parts)
     return sums[:-1], sums[-1]
+
+
+def totals_switched(
+    integrate: Callable[[Array, Array], tuple[Array, Array]],
+    size: Callable[[Array], Array],
+    width: Float[Array, ""],
+    before: Array,
+    after: Array,
+    place: Float[Array, ""],
+) -> tuple[Array, Array]:
+    """The integral of a rate that is `before` up to a place in [0, 1] of the element, and `after` beyond it.
+
+    Args:
+        integrate: one of the functions above.
+        size: what it integrates of a rate: the rate itself, its magnitude or its length.
+        width: of the element.
+        before, after: the rates at the nodes, equal at the place.
+        place: in [0, 1].
+    """
+    points = jnp.asarray(gauss_rule(before.shape[0]).points, place.dtype)
+    i = jnp.sum(points[1:-1] <= place)  # the last point before the place
+
+    def to_place(rate: Array, nodes: Array) -> Array:
+        """By Simpson's rule from the last point before it."""
+        along = jnp.stack([points[i], (points[i] + place) / 2, place])
+        weights = legendre_basis(along, rate.shape[0]) @ jnp.asarray(gauss_rule(rate.shape[0]).series, rate.dtype)
+        first, middle, last = size(jnp.tensordot(weights, rate, 1))
+        known = jnp.concatenate([jnp.zeros_like(nodes[:1]), nodes])[i]
+        return known + width * (place - points[i]) / 6 * (first + 4 * middle + last)
+
+    (nodes, end), (nodes_after, end_after) = integrate(width, before), integrate(width, after)
+    shift = to_place(before, nodes) - to_place(after, nodes_after)
+    early = (points[1:-1] < place).reshape(-1, *[1] * (nodes.ndim - 1))
+    return jnp.where(early, nodes, nodes_after + shift), jnp.where(place < 1, end_after + shift, end)
+
+
+def legendre_basis(place: Float[Array, "*k"], count: int) -> Float[Array, "*k count"]:
+    """The first Legendre polynomials at places in [0, 1] of an element."""
+    x = 2 * place - 1
+    basis = [jnp.ones_like(x), x]
+    for n in range(1, count - 1):
+        basis.append(((2 * n + 1) * x * basis[n] - n * basis[n - 1]) / (n + 1))
+    return jnp.stack(basis[:count], axis=-1)
 
 
 def _hermite(value: Array, slope: Array, step: Array) -> tuple[Array, Array, Array, Array]:
@@ -266,11 +311,7 @@ class Elements(eqx.Module):
             start, values: trees of arrays with leading axes P and (P, p).
         """
         i, x = self._within(arc_length)
-        x = 2 * x - 1
-        basis = [jnp.ones_like(x), x]
-        for n in range(1, self.order):
-            basis.append(((2 * n + 1) * x * basis[n] - n * basis[n - 1]) / (n + 1))
-        weights = jnp.stack(basis) @ jnp.asarray(self.rule.interpolation, x.dtype)
+        weights = legendre_basis(x, self.order + 1) @ jnp.asarray(self.rule.interpolation, x.dtype)
         return jax.tree.map(lambda a, b: jnp.tensordot(weights, jnp.concatenate([a[i][None], b[i]]), 1), start, values)
 
     def lagrange(self, place: Float[Array, ""]) -> Float[Array, " p"]:

@@ -20,9 +20,10 @@ from ..measurements.table import Measurements
 from ..programs.kept import kept_program
 from ..progress import each, stage
 from ..robot.manipulator import Manipulator
-from ..statics.equilibrium import RESULTS, Equilibrium
+from ..statics.equilibrium import Equilibrium
 from ..statics.literal_iteration import IterationHistory, iteration_history
 from ..statics.solve import solve
+from ..statics.status import Status
 
 PULL = 75.0  # N, the base tension of Fig. 4, 5 and 6
 LIGHT_PULL = 10.0  # N, the other one of Fig. 6
@@ -106,7 +107,7 @@ def computed(manipulator: Manipulator, load_cells: Measurements) -> PaperResults
     base, observed = load_cells["base_tension"][load_cells.has("tip_tension")], load_cells.read("tip_tension")
     pulls = np.concatenate([PULLS, base])
     equilibria = jax.tree.map(np.asarray, _pull(manipulator, pulls))
-    good = equilibria.result == RESULTS.successful
+    good = equilibria.status == Status.successful
     if not np.all(good):
         solve(manipulator, pulls[np.argmin(good)])  # raises and says why
     curve = jax.tree.map(lambda x: x[: len(PULLS)], equilibria)

@@ -9,8 +9,9 @@ from ..files.writing import picked
 from ..quantities import dimension_of
 from ..robot.loads import Loads, loads_as_dict, loads_in_space
 from ..statics.contact import self_contact
-from ..statics.equilibrium import RESULTS, Equilibrium
+from ..statics.equilibrium import Equilibrium
 from ..statics.equilibrium_text import last_lines, strain_line, tendon_lines, tip_line
+from ..statics.status import Status, in_words
 from ..statics.targets import CurvatureAt, Target, TipPosition
 from ..sweeping.one_solve import IN_SPACE, OUTPUTS
 from ..units import shown
@@ -20,7 +21,7 @@ Entries = Sequence[float | Target] | TipPosition  # the tension (N) or target of
 
 def solve_as_dict(equilibrium: Equilibrium, actuation: Entries, loads: Loads | None) -> dict[str, object]:
     """Everything about an equilibrium, SI units, for JSON, with loads and targets if there are any."""
-    answer: dict[str, object] = {"result": RESULTS[equilibrium.result] or "successful", "remarks": equilibrium.remarks}
+    answer: dict[str, object] = {"result": in_words(equilibrium.status), "remarks": equilibrium.remarks}
     if isinstance(actuation, TipPosition):
         answer["targets"] = [picked(actuation, ("value", "minimum_tension", "maximum_tension"))]
         answer["target_rank"] = equilibrium.target_rank
@@ -84,7 +85,7 @@ def missed_targets_in_words(equilibrium: Equilibrium, actuation: Entries, texts:
         tensions = ", ".join(shown(tension, "force") for tension in equilibrium.base_tension)
         nearest = f"the nearest found is ({place}), {far} away, at {tensions}"
         return f"--base-tension {texts[0]!r}: no allowed tensions bring the tip there, {nearest}; change the target"
-    slack = equilibrium.result == RESULTS.slack
+    slack = equilibrium.status == Status.slack
     why = "the tendon would have to push" if slack else "no tension between slack and crossing fibres gives it"
     missed = []
     numbers = zip(actuation, texts, equilibrium.target_miss, equilibrium.base_tension, strict=True)

@@ -19,10 +19,10 @@ from ..batch.work import COPIES
 from ..errors import InputError, in_utf8, within
 from ..progress import stage
 from ..robot.loads import loads_as_dict
-from ..statics.equilibrium import RESULTS
+from ..statics.status import Status, words_of
 from ..statics.targets import Target
 from ..sweeping.export import blocks_of, is_short, labelled, write_csv, write_netcdf
-from ..sweeping.one_solve import RESULT, RESULT_NAMES, VERDICTS
+from ..sweeping.one_solve import RESULT, VERDICTS
 from ..sweeping.sweep import Sweep
 from ..units import DIMENSION_OF, shown
 
@@ -189,7 +189,7 @@ def _axes(work: Sweep) -> list[Json]:
 def _results_and_ranges(work: Sweep, answer: "xarray.Dataset") -> Json:
     """The number of solves by result, and the range of each output over the successful solves."""
     layout, rank = work.layout, len(work.layout.shape)
-    counts = np.zeros(len(RESULT_NAMES), int)
+    counts = np.zeros(len(Status), int)
     outputs: dict[str, Json] = {
         name: {"unit": variable.attrs.get("units"), "dims": variable.dims[rank:], "min": None, "max": None}
         for name, variable in layout.variables.items()
@@ -197,14 +197,14 @@ def _results_and_ranges(work: Sweep, answer: "xarray.Dataset") -> Json:
     }
     for block in blocks_of(layout, answer):
         successful = block["successful"].values
-        counts += np.bincount(block[RESULT].values.ravel(), minlength=len(RESULT_NAMES))
+        counts += np.bincount(block[RESULT].values.ravel(), minlength=len(Status))
         for name, output in outputs.items() if np.any(successful) else ():
             good = block[name].values[successful]
             along = (0, *(i for i, dim in enumerate(output["dims"], 1) if dim == "point"))
             for end, extreme in (("min", np.fmin), ("max", np.fmax)):
                 found = extreme.reduce(good, along)
                 output[end] = found if output[end] is None else extreme(output[end], found)
-    return {"results": {name: int(n) for name, n in zip(RESULT_NAMES, counts, strict=True) if n}, "outputs": outputs}
+    return {"results": {status.name: int(n) for status, n in zip(Status, counts, strict=True) if n}, "outputs": outputs}
 
 
 def rehearse(work: Sweep, places: Places | None) -> Json:
@@ -238,7 +238,7 @@ def summary_in_words(summary: Json) -> str:
     how = f"{some} in {lasted} with compiling, {speed}" if before < total else ", all there already"
     lines = [f"{total:,} solve{'s' if total > 1 else ''}{how}: {counts}"]
     failed = [name for name in summary["results"] if name != "successful"]
-    lines += [f"{name.replace('_', ' ')}: {RESULTS[getattr(RESULTS, name)]}" for name in failed]
+    lines += [f"{name.replace('_', ' ')}: {words_of(Status[name])}" for name in failed]
     lines += _ranges(summary["outputs"])
     for what, entries in (
         ("no figure", paths.get("no_figure")),

@@ -8,14 +8,14 @@ import numpy as np
 
 from ..errors import SolveError
 from ..files.csv_table import table_csv
-from ..history.history import STEPS, History, last_line, listed, steps_in_words
+from ..history.history import GOOD, STEPS, History, last_line, listed, steps_in_words
 from ..history.stepped import ACCURACY, SteppedStates
 from ..history.trace import trace
 from ..programs.evaluated import evaluated
 from ..progress import stage
 from ..robot.loads import Loads, loads_as_dict
 from ..robot.manipulator import Manipulator
-from ..statics.equilibrium import RESULT_NAMES, RESULTS, code_of, result_of
+from ..statics.status import Status, words_of
 from ..statics.targets import Displacement, TipAngle
 from ..units import Dimension, shown
 from .export import POINTS, field_columns, history_columns, history_numbers
@@ -105,16 +105,16 @@ def _with_points_between(path: np.ndarray, start: np.ndarray, count: int) -> tup
 
 
 def _check(history: History, steps: np.ndarray, values: np.ndarray, driven: Sequence[Dimension]) -> None:
-    codes = np.asarray(code_of(history.result))
-    failed = ~np.isin(codes, [code_of(result) for result in (RESULTS.successful, RESULTS.slack)])
+    codes = np.asarray(history.status)
+    failed = ~np.isin(codes, GOOD)
     if not np.any(failed):
         return
     first = int(np.argmax(failed))
     step = int(np.searchsorted(steps, first))
     pairs = (zip(values[place], driven, strict=True) for place in (steps[step], first))
     to, at = (", ".join(shown(value, kind) for value, kind in pair) for pair in pairs)
-    words = RESULTS[result_of(codes[first])]
-    if isinstance(history._states, SteppedStates) and codes[first] == code_of(RESULTS.inaccurate):
+    words = words_of(codes[first])
+    if isinstance(history._states, SteppedStates) and codes[first] == Status.inaccurate:
         words = f"The error estimate exceeds {ACCURACY:g}: raise --short-steps and --nodes."
     raise SolveError(f"step {step + 1}, on the way to {to}, at {at}: {words}")
 
@@ -140,7 +140,7 @@ def cycles(states: dict[str, np.ndarray]) -> list[Cycle]:
 
 def trace_as_dict(found: TracedPath) -> dict[str, object]:
     """The states after the steps of a path, its closed cycles and its loads, SI units, for JSON."""
-    results = [RESULT_NAMES[code] for code in np.asarray(code_of(found.history.result))[found.steps]]
+    results = [Status(code).name for code in np.asarray(found.history.status)[found.steps]]
     steps = np.arange(1, len(found.steps) + 1)
     loads = {} if found.loads is None else {"loads": loads_as_dict(found.loads)}
     return {"steps": steps, "results": results, **found.states, "cycles": cycles(found.states), **loads}

@@ -1,7 +1,7 @@
 """The arguments of `solve`: checked on the host, and converted to arrays of one precision.
 
 Wrong types and shapes raise an error here. Numbers without a physical meaning do not, because they may be traced:
-`harmless` replaces them, and `is_physical` decides whether the result reports them.
+`harmless` replaces them, and `is_physical` decides whether the status reports them.
 """
 
 from functools import cache

@@ -1,4 +1,4 @@
-"""The result of a solve: the equilibrium, its fields along the body, and the code that says how the solve ended."""
+"""The result of a solve: the equilibrium and its fields along the body."""
 
 from typing import TypeVar
 
@@ -6,7 +6,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from ..errors import InputError
@@ -20,118 +19,17 @@ from ..numerics.rotations import length_of
 from ..programs.kept import kept_program
 from ..robot.cross_section import SpatialSection, spatial
 from ..robot.manipulator import Manipulator
-from ..robot.profiles import Number
+from .status import Status
 
 PerTendon = Float[Array, " tendons"]
 Tree = TypeVar("Tree")
 FRACTIONS = np.linspace(0.0, 1.0, 129)  # of every element, at which the strain of the wall is computed
 
 
-class RESULTS(eqx.Enumeration):
-    """How a solve ended. The member's text says what happened and what helps."""
-
-    successful = ""
-    direction_contradicted = (
-        "A tendon travels against its direction, so its friction has the wrong sign. Where the direction was stated, "
-        "flip it or leave it out: +1 slides in at the base, -1 slides out. Where it was found, both directions are "
-        "contradicted: part of the tendon sticks, and the model does not determine its tension."
-    )
-    inaccurate = "The error estimate exceeds 1e-5: the body is too rough for its nodes. Raise nodes=."
-    crossing = (
-        "offset * curvature reaches 1: fibres of the body would cross at the tendon. "
-        "Lower the tension or the offset, or stiffen the body."
-    )
-    not_converged = "The iteration did not settle. Raise nodes= or max_passes, or lower tension and loads."
-    unstable = (
-        "The equilibrium is unstable: the smallest eigenvalue of its tangent is not positive, and a body leaves it. "
-        "Lower the loads."
-    )
-    load_limit = (
-        "The path of equilibria, tensions first and then all loads together, ends before the full loads: the body "
-        "snaps. Lower the loads, or raise the tension that holds them."
-    )
-    slack = "A tendon would have to push to give its displacement; the answer is that of a tendon without tension."
-    unreachable = (
-        "No base tension between slack and crossing fibres reaches the target; the answer is the nearest one found. "
-        "Change the target."
-    )
-    undetermined = (
-        "Other base tensions reach the targets just as well, for instance of antagonists that do not stretch. "
-        "Give one of the tensions, or another target."
-    )
-    locked = (
-        "A tendon that slides out locks: its tension grows without bound before the tip. "
-        "Lower its base tension, friction or wrap."
-    )
-    too_many_turns = "More turns of the base tension have to be remembered than max_turns. Raise max_turns=."
-    unphysical = (
-        "The body or its load is not physical (NaN, negative tension, modulus, friction or drag, a wall of no "
-        "thickness, a direction other than +1 or -1, a place off the body). Give tensions of 0 or more; "
-        "manipulator.validate() names what is wrong with a body."
-    )
-
-
-# Equinox has no public way to the names and codes of an enumeration. Its private names are used from here to
-# `result_of`, and nowhere else.
-
-
-class Result(type(RESULTS.successful)):  # pyright: ignore[reportGeneralTypeIssues, reportUntypedBaseClass]
-    """A member of `RESULTS`, or one for each lane of a batch. Its text is its words, or counts lanes by result."""
-
-    def __str__(self) -> str:
-        if isinstance(self._value, Tracer) or np.ndim(self._value) == 0:
-            return RESULTS[self] or "successful"
-        codes, counts = np.unique(np.asarray(self._value), return_counts=True)
-        return ", ".join(f"{count} {RESULT_NAMES[code]}" for code, count in zip(codes, counts, strict=True))
-
-
-def with_words(result: RESULTS) -> RESULTS:
-    """The same result, whose text is its words."""
-    return Result(result._value, RESULTS)  # pyright: ignore[reportCallIssue]
-
-
-for _name, _member in RESULTS._name_to_item.items():
-    RESULTS._name_to_item[_name] = with_words(_member)
-RESULT_NAMES: tuple[str, ...] = tuple(RESULTS._name_to_item)  # in the order of their codes
-
-
-def first_of(*cases: tuple[Bool[Array, "*lanes"], RESULTS]) -> RESULTS:
-    """The result of the first case that holds."""
-    result = RESULTS.successful
-    for holds, code in reversed(cases):
-        result = RESULTS.where(holds, code, result)
-    return with_words(result)
-
-
-def code_of(result: RESULTS) -> Number:
-    """The code of a result, a whole number: traced under jit, an array with one code per lane of a batch."""
-    return result._value
-
-
-def result_of(code: int | np.integer) -> RESULTS:
-    """The result with a code."""
-    return getattr(RESULTS, RESULT_NAMES[code])
-
-
-NOTEWORTHY = (
-    RESULTS.unphysical,
-    RESULTS.locked,
-    RESULTS.not_converged,
-    RESULTS.load_limit,
-    RESULTS.slack,
-    RESULTS.unreachable,
-    RESULTS.undetermined,
-    RESULTS.crossing,
-    RESULTS.unstable,
-    RESULTS.inaccurate,
-    RESULTS.direction_contradicted,
-)
-
-
 class Equilibrium(eqx.Module):
     """A manipulator in static equilibrium.
 
-    Where no equilibrium was found, the numbers are NaN and `result` says why. `result` also says when numbers may be
+    Where no equilibrium was found, the numbers are NaN and `status` says why. `status` also says when numbers may be
     wrong (`crossing`, `inaccurate`, `direction_contradicted`).
 
     Every attribute of `Fields`, or of `SpatialFields` where the body is in space, is an attribute here as well, at the
@@ -158,7 +56,7 @@ class Equilibrium(eqx.Module):
     direction_contradicted: Bool[Array, " tendons"]
     error_estimate: Float[Array, ""]  # of tip tension (relative), tip position (per length), tip angle (rad)
     num_iterations: Int[Array, ""]  # iterations of the last step
-    result: RESULTS  # how the solve ended
+    status: Int[Array, ""]  # how the solve ended; of `Status`
     _dense: "Dense"
 
     arc_length = property(lambda self: self.along.arc_length, doc="s, m, from 0 to L.")
@@ -317,9 +215,9 @@ class Dense(eqx.Module):
 _peak_strain = kept_program(eqx.filter_jit(Dense.peak_strain))
 
 
-def ended_as(equilibrium: Equilibrium, *results: RESULTS) -> bool:
-    """Whether one solve, whose numbers are known, ended with one of these results."""
-    return int(code_of(equilibrium.result)) in [int(code_of(result)) for result in results]
+def ended_as(equilibrium: Equilibrium, *statuses: Status) -> bool:
+    """Whether one solve, whose numbers are known, ended with one of these statuses."""
+    return int(equilibrium.status) in statuses
 
 
 def on_host(equilibrium: Equilibrium) -> Equilibrium:

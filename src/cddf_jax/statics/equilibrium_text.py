@@ -8,12 +8,13 @@ from jax.core import Tracer
 
 from ..units import shown
 from .contact import self_contact
-from .equilibrium import RESULTS, Dense, Equilibrium, ended_as, on_host
+from .equilibrium import Dense, Equilibrium, ended_as, on_host
+from .status import Status, words_of
 
 _FAR_TOO_MUCH = 10.0  # offset * curvature; a larger value is probably due to a wrong unit
 _RATIO_OF_MATERIALS = 0.5  # the largest Poisson's ratio of an isotropic material
-# results whose numbers are kept and may be wrong; `remarks_on` adds further warnings
-_DOUBTED = (RESULTS.crossing, RESULTS.inaccurate, RESULTS.slack, RESULTS.unreachable, RESULTS.undetermined)
+# statuses of solves whose numbers are kept and may be wrong; `remarks_on` adds further warnings
+_DOUBTED = (Status.crossing, Status.inaccurate, Status.slack, Status.unreachable, Status.undetermined)
 
 
 def equilibrium_in_words(equilibrium: Equilibrium) -> str:
@@ -84,9 +85,9 @@ def remarks_on(equilibrium: Equilibrium) -> tuple[str, ...]:
     if not np.isfinite(equilibrium.tip_angle):
         return ()
     equilibrium = on_host(equilibrium)
-    found = [] if equilibrium.stable else [RESULTS[RESULTS.unstable]]
+    found = [] if equilibrium.stable else [words_of(Status.unstable)]
     wrong = [str(i) for i, contradicted in enumerate(equilibrium.direction_contradicted, 1) if contradicted]
-    found += [f"tendon {i}: {RESULTS[RESULTS.direction_contradicted]}" for i in wrong]
+    found += [f"tendon {i}: {words_of(Status.direction_contradicted)}" for i in wrong]
     return *found, *_on_material(equilibrium), *wall_remarks(equilibrium)
 
 
@@ -128,14 +129,14 @@ def _on_contact(equilibrium: Equilibrium) -> list[str]:
 
 def result_in_words(equilibrium: Equilibrium) -> str:
     """How a single solve ended, in words; empty if it was successful."""
-    message = RESULTS[equilibrium.result]
-    if ended_as(equilibrium, RESULTS.crossing):
+    message = words_of(equilibrium.status)
+    if ended_as(equilibrium, Status.crossing):
         message = f"{describe_crossing(equilibrium)}. {message}"
-    if ended_as(equilibrium, RESULTS.load_limit):
+    if ended_as(equilibrium, Status.load_limit):
         message = (
             f"An equilibrium was found up to {100 * float(equilibrium.load_fraction):.3g} % of the loads. {message}"
         )
-    if ended_as(equilibrium, RESULTS.slack, RESULTS.unreachable):
+    if ended_as(equilibrium, Status.slack, Status.unreachable):
         missed = ", ".join(f"{miss:.4g}" for miss in np.asarray(equilibrium.target_miss))
         message = f"The nearest that can be reached misses the targets by {missed} (SI). {message}"
     return message

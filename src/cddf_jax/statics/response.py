@@ -10,7 +10,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, PyTree
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from ..errors import InputError
 from ..mechanics.bending import slip_rate, stretch_rate, turning
@@ -38,9 +38,10 @@ from ..robot.profiles import as_number
 from ..robot.validation import check_weight
 from .arguments import one_precision
 from .balance import equilibrate
-from .equilibrium import RESULTS, Equilibrium, nan_unless
+from .equilibrium import Equilibrium, nan_unless
 from .settle import Setup
 from .solve import solve
+from .status import Status
 from .targets import Actuation
 
 
@@ -122,10 +123,10 @@ def _tip_jacobian(arguments: tuple, direction: PyTree, method: Method, nodes: in
 
     def pose(numbers):
         equilibrium = solve(*eqx.combine(numbers, rest), direction=direction, method=method, nodes=nodes)
-        return tip_pose(equilibrium), equilibrium.result
+        return tip_pose(equilibrium), equilibrium.status
 
-    jacobian, result = jax.jacrev(pose, has_aux=True)(numbers)
-    solved = (result == RESULTS.successful) | (result == RESULTS.direction_contradicted)
+    jacobian, status = jax.jacrev(pose, has_aux=True)(numbers)
+    solved = (status == Status.successful) | (status == Status.direction_contradicted)
     return TipJacobian(*eqx.combine(nan_unless(solved, jacobian), rest))
 
 
@@ -150,7 +151,7 @@ class EnergyBalance(eqx.Module):
     elastic_energy: Float[Array, ""]  # gained by the body in bending and by the tendons in stretching
     friction_loss: Float[Array, " tendons"]  # of friction over the sliding; not negative where `direction` is right
     load_work: Float[Array, ""]  # done against the dead loads: weights lifted
-    result: RESULTS  # of the solve at the full tensions
+    status: Int[Array, ""]  # of the solve at the full tensions
 
     @property
     def residual(self) -> Number:
@@ -186,12 +187,12 @@ def energy_balance(
         raise InputError("energy_balance: the body is in space; this works for bodies in the plane only")
     end = solve(manipulator, base_tension, loads, direction=direction, method=method, nodes=nodes, throw=throw)
     manipulator, tension, direction, loads = one_precision(manipulator, end.base_tension, end._dense.direction, loads)
-    return _energy_balance(Setup(manipulator, direction, loads, method, nodes), tension, end.result, num_steps)
+    return _energy_balance(Setup(manipulator, direction, loads, method, nodes), tension, end.status, num_steps)
 
 
 @kept_program
 @eqx.filter_jit
-def _energy_balance(setup: Setup, base_tension: PerTendon, result: RESULTS, num_steps: int) -> EnergyBalance:
+def _energy_balance(setup: Setup, base_tension: PerTendon, status: Int[Array, ""], num_steps: int) -> EnergyBalance:
     rule = gauss_rule(num_steps)
     fraction = jnp.concatenate([jnp.zeros(1), jnp.asarray(rule.nodes), jnp.ones(1)]).astype(base_tension.dtype)
 
@@ -202,7 +203,7 @@ def _energy_balance(setup: Setup, base_tension: PerTendon, result: RESULTS, num_
     stages, power, dissipation = jax.vmap(along)(fraction)
     weights = jnp.asarray(rule.weights, base_tension.dtype)
     gained = jax.tree.map(lambda x: x[-1] - x[0], (stages.elastic_energy, stages.load_energy))
-    answer = EnergyBalance(weights @ power[1:-1], gained[0], weights @ dissipation[1:-1], gained[1], result)
+    answer = EnergyBalance(weights @ power[1:-1], gained[0], weights @ dissipation[1:-1], gained[1], status)
     numbers, code = eqx.partition(answer, eqx.is_inexact_array)
     return eqx.combine(nan_unless(jnp.all(stages.converged), numbers), code)
 

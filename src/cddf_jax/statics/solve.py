@@ -39,21 +39,15 @@ from .arguments import (
     split_actuation,
 )
 from .balance import Balance, equilibrate, inside_of_bend
-from .equilibrium import (
-    RESULTS,
-    Dense,
-    Equilibrium,
-    code_of,
-    first_of,
-    nan_unless,
-)
+from .equilibrium import Dense, Equilibrium, nan_unless
 from .equilibrium_text import result_in_words
 from .settle import Setup
+from .status import Status, first_of
 from .targets import Actuation, Displacement, TipAngle, TipStiffness
 from .tension_search import Found, Targets, reach
 
 PerTendon = Float[Array, " tendons"]
-SOLVED = frozenset(int(code_of(result)) for result in (RESULTS.successful, RESULTS.direction_contradicted))
+SOLVED = (Status.successful, Status.direction_contradicted)
 
 
 def solve(
@@ -87,7 +81,7 @@ def solve(
         space: solve a body of the plane in space. Bodies are always solved in space where a tendon has an angle, where
             loads have three components, and where the body is extensible or has a curvature at rest.
         throw: raise where the values are known and the solve failed. Where they are traced, under jit or
-            vmap, nothing is raised; look at `result`.
+            vmap, nothing is raised; look at `status`.
 
     Where there are several equilibria under the loads, the result is the one on the path along which the tensions act
     first and then all loads grow together from 0 to 1. `num_load_steps` counts the steps, `stable` is that of the end,
@@ -107,7 +101,7 @@ def solve(
     friction, drag and offsets not negative); walls, anchors, knots and jumps are checked by `manipulator.validate()`.
 
     Raises:
-        SolveError: with `throw`, when the result is neither successful nor `direction_contradicted`.
+        SolveError: with `throw`, when the status is neither successful nor `direction_contradicted`.
         ValueError: for a wrong number of tensions, directions or components of a load, nodes below 4, gravity on
             a body that is known to have no mass, numbers that are not plain (with a unit, masked, text, ...), a batch
             of bodies, or in space a target angle beyond 0 to pi.
@@ -139,7 +133,7 @@ def solve(
 
 
 def _raise_if_failed(equilibrium: Equilibrium, targets: Targets) -> None:
-    code = code_of(equilibrium.result)
+    code = equilibrium.status
     if isinstance(code, Tracer) or np.ndim(code) > 0 or int(code) in SOLVED:
         return
     raise SolveError(result_in_words(equilibrium) + _units_of(targets, float(equilibrium.arc_length[-1])))
@@ -215,18 +209,18 @@ def _solve(
         direction_contradicted=contradicted,
         error_estimate=nan_unless(solved, truncation + balance.error_amplification * (solution.residual + round_off)),
         num_iterations=solution.num_iterations.astype(int),
-        result=first_of(
-            (~physical, RESULTS.unphysical),
-            (solution.locked, RESULTS.locked),
-            (~(solution.converged & balance.load_path.resolved), RESULTS.not_converged),
-            (~balance.load_path.converged, RESULTS.load_limit),
-            (found.slack, RESULTS.slack),
-            (~found.reached, RESULTS.unreachable),
-            (~found.determined, RESULTS.undetermined),
-            (crossing, RESULTS.crossing),
-            (~balance.load_path.stable, RESULTS.unstable),
-            (truncation > ACCURACY, RESULTS.inaccurate),
-            (jnp.any(contradicted), RESULTS.direction_contradicted),
+        status=first_of(
+            (~physical, Status.unphysical),
+            (solution.locked, Status.locked),
+            (~(solution.converged & balance.load_path.resolved), Status.not_converged),
+            (~balance.load_path.converged, Status.load_limit),
+            (found.slack, Status.slack),
+            (~found.reached, Status.unreachable),
+            (~found.determined, Status.undetermined),
+            (crossing, Status.crossing),
+            (~balance.load_path.stable, Status.unstable),
+            (truncation > ACCURACY, Status.inaccurate),
+            (jnp.any(contradicted), Status.direction_contradicted),
         ),
         _dense=dense,
     )

@@ -11,7 +11,8 @@ from ..batch.chunks import Layout, even_chunks
 from ..batch.drafts import in_one_step
 from ..errors import needed
 from ..robot.named_numbers import of_tendon
-from .one_solve import AXES, COMPONENTS, RESULT, RESULT_NAMES, VERDICTS
+from ..statics.status import Status
+from .one_solve import AXES, COMPONENTS, RESULT, VERDICTS
 
 if TYPE_CHECKING:
     import xarray
@@ -63,7 +64,7 @@ def _output_columns(layout: Layout, block: "xarray.Dataset") -> dict[str, np.nda
         values, own = block[name].values, len(layout.shape)
         for place, label in labelled(name, variable.dims[own:], variable.shape[own:]):
             found[_head(label, variable.attrs)] = values[(..., *place)].ravel()
-    return found | {RESULT: np.array(RESULT_NAMES)[block[RESULT].values.ravel()]}
+    return found | {RESULT: np.array([*Status.__members__])[block[RESULT].values.ravel()]}
 
 
 def labelled(name: str, dims: Sequence[str], shape: Sequence[int]) -> Iterator[tuple[tuple[int, ...], str]]:

@@ -17,8 +17,9 @@ from ..mechanics.problem import Method
 from ..quantities import QUANTITIES
 from ..robot.loads import Loads
 from ..robot.named_numbers import Case
-from ..statics.equilibrium import RESULT_NAMES, RESULTS, Equilibrium, code_of
+from ..statics.equilibrium import Equilibrium
 from ..statics.solve import solve
+from ..statics.status import Status
 from .axes import Dimension
 
 COMPONENTS = ("X", "Y", "Z")  # in the fixed frame; a body in the plane has the first two
@@ -105,7 +106,7 @@ def variable(
     if unit:
         attrs["units"] = unit
     if name == RESULT:
-        attrs |= {"flag_values": [*range(len(RESULT_NAMES))], "flag_meanings": " ".join(RESULT_NAMES)}
+        attrs |= {"flag_values": [*range(len(Status))], "flag_meanings": " ".join(Status.__members__)}
     return Variable((*shape, *dims), (*shape.values(), *array.shape), np.dtype(array.dtype), attrs)
 
 
@@ -184,8 +185,7 @@ class OneSolve(eqx.Module):
             given = there.manipulator, *_along(there, self.path)
             found = trace(*given, nodes=self.nodes, short_steps=self.short_steps, throw=False)
             outputs = {name: _after_each_step(found, name) for name in self.outputs}
-        code = jnp.asarray(code_of(found.result))
-        return outputs | {SUCCESSFUL: code == code_of(RESULTS.successful), RESULT: code.astype(jnp.int8)}
+        return outputs | {SUCCESSFUL: found.status == Status.successful, RESULT: found.status.astype(jnp.int8)}
 
 
 def _along(case: Case, path: dict[str, Float[Array, " steps"]]) -> tuple[Array, Loads | None]:

@@ -68,7 +68,7 @@ def grow(a, y):
 
 def golden(a):
     """The fixed point y = sqrt(a + y), which is (1 + sqrt(1 + 4 a)) / 2."""
-    return fixed_point(Partial(grow, a), jnp.ones_like(a), tolerance=1e-15, max_passes=100).value
+    return fixed_point(Partial(grow, a), jnp.ones_like(a), tolerance=1e-15, max_iterations=100).value
 
 
 # value, slope and curvature by hand
@@ -122,7 +122,7 @@ def test_what_does_not_move_has_no_slope():
 
     def values(a):
         start = {"moved": jnp.zeros(()), "still": jnp.zeros(())}
-        return fixed_point(Partial(halfway, a), start, tolerance=1e-15, max_passes=100).value
+        return fixed_point(Partial(halfway, a), start, tolerance=1e-15, max_iterations=100).value
 
     def root_of_two(a):
         return implicit(Partial(apart, a), {}, jnp.array([2.0, 3.0]), NOWHERE)[1]
@@ -161,7 +161,7 @@ def test_passes_of_slopes_that_do_not_settle_show_as_nan_where_the_lane_has_not_
 
 
 def test_a_fixed_point_that_does_not_settle_reports_it_and_keeps_its_start():
-    answer = fixed_point(Partial(lambda a, y: -a * y, 2.0), jnp.array(3.0), tolerance=1e-12, max_passes=20)
+    answer = fixed_point(Partial(lambda a, y: -a * y, 2.0), jnp.array(3.0), tolerance=1e-12, max_iterations=20)
     assert not answer.converged
     assert answer.value == 3.0
     assert answer.num_passes == 20
