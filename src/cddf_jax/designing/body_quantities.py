@@ -20,7 +20,7 @@ from ..mechanics.fields import AnyFields, Fields, SpatialFields
 from ..numerics.quadrature import Panels, panels
 from ..numerics.rotations import length_of
 from ..quantities import dimension_of
-from ..robot.loads import Loads, loads_in_space
+from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import Equilibrium
 from ..statics.solve import solve
@@ -211,7 +211,7 @@ def _stiffness(direction: Callable[[Equilibrium], Array]) -> Callable[[BodyView]
         assert view.case is not None
         found = view.equilibrium
         loads = Loads() if view.case.loads is None else view.case.loads
-        loads = loads_in_space(loads) if found.in_space else loads
+        loads = loads.with_components(found.tip_position.shape[-1])
 
         def tip(force: Array) -> Array:  # at constant base tensions, as in `tip_compliance`
             given = view.body, found.base_tension, replace(loads, tip_force=force)

@@ -9,7 +9,7 @@ from jaxtyping import ArrayLike
 from ..errors import InputError
 from ..mechanics.fields import AnyFields, Fields, SpatialFields, in_the_plane
 from ..programs.evaluated import evaluated
-from ..robot.loads import Loads, loads_in_space
+from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..robot.validation import joints
 from ..statics.equilibrium import Equilibrium
@@ -175,7 +175,7 @@ def drawn(manipulator: Manipulator, along: SpatialFields, loads: Loads | None) -
         straight=SpatialBody(np.outer(1e3 * s, [1.0, 0.0, 0.0]), np.tile(np.eye(3), (len(s), 1, 1)), outer),
         tendons=np.where(there[..., None], 1e3 * np.asarray(along.path), np.nan),
         tension=np.where(there, along.tension, np.nan),
-        loads=loads_in_space(Loads() if loads is None else loads),
+        loads=(Loads() if loads is None else loads).with_components(3),
     )
 
 

@@ -83,8 +83,8 @@ def stiffness_parameter(manipulator: Manipulator) -> str:
 
 def camera_parameters(manipulator: Manipulator) -> tuple[str, ...]:
     """The pose of the camera: shift and turn, of six numbers in space and three in the plane."""
-    axes, turns = ("xyz", "xyz") if manipulator.in_space else ("xy", "z")
-    return (*(f"{CAMERA}_{axis}" for axis in axes), *(f"{CAMERA}_turn_{axis}" for axis in turns))
+    pose = (f"{name}_{axis}" for name in (CAMERA, f"{CAMERA}_turn") for axis in "xyz")
+    return tuple(name for name in pose if manipulator.in_space or name not in OF_SPACE)
 
 
 def free_parameters(manipulator: Manipulator, free: Sequence[str] | str | None) -> tuple[str, ...]:

@@ -21,15 +21,16 @@ class Reading(NamedTuple):
     of_marker: bool = False  # markers last; its columns are those of `markers.marker_column`
 
 
+def _component(of: str, axis: int) -> Reading:
+    """One component of the positions `of` the tip or the markers."""
+    return Reading(lambda found: getattr(found, of)[..., axis], in_space=axis == 2, of_marker=of == "markers")
+
+
 READINGS = {
     "tip_tension": Reading(lambda found: found.tip_tension, per_tendon=True, by_cell=True),
     "tip_angle": Reading(lambda found: found.tip_angle, zero="angle_zero"),
-    "tip_x": Reading(lambda found: found.tip_position[..., 0]),
-    "tip_y": Reading(lambda found: found.tip_position[..., 1]),
-    "tip_z": Reading(lambda found: found.tip_position[..., 2], in_space=True),
-    "marker_x": Reading(lambda found: found.markers[..., 0], of_marker=True),
-    "marker_y": Reading(lambda found: found.markers[..., 1], of_marker=True),
-    "marker_z": Reading(lambda found: found.markers[..., 2], of_marker=True, in_space=True),
+    **{f"tip_{axis}": _component("tip_position", i) for i, axis in enumerate("xyz")},
+    **{f"marker_{axis}": _component("markers", i) for i, axis in enumerate("xyz")},
 }
 NAMED = {name: kind for name, kind in READINGS.items() if not kind.of_marker}  # whose names are those of columns
 

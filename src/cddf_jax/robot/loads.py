@@ -51,6 +51,15 @@ class Loads(eqx.Module):
         along_path = any(len(shape) > 1 for shape in vectors)  # then (3,) are the moments of three steps in the plane
         return any(shape[-1] == 3 for shape in vectors) or (np.shape(self.tip_moment) == (3,) and not along_path)
 
+    @property
+    def components(self) -> int:
+        """How many components the body needs for them, two or three; static."""
+        return 3 if self.in_space else 2
+
+    def with_components(self, count: int) -> "Loads":
+        """The same loads with three components each for a count of 3; for 2 they stay as they are."""
+        return loads_in_space(self) if count == 3 else self
+
 
 def loads_as_dict(loads: Loads) -> dict[str, object]:
     """For JSON; SI units."""

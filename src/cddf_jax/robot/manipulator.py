@@ -248,6 +248,11 @@ class Manipulator(eqx.Module):
         return turned or self.extensible or self.rest_curvature is not None
 
     @property
+    def components(self) -> int:
+        """How many components its positions have: two in the plane, three in space; static."""
+        return 3 if self.in_space else 2
+
+    @property
     def slanted(self) -> bool:
         """Whether any tendon may change its distance from the neutral axis, or wind around it."""
         places = [place for tendon in self.tendons for place in (tendon.offset, tendon.angle) if place is not None]
