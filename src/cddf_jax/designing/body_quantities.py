@@ -1,6 +1,6 @@
 """Quantities of a body and of its equilibria, by name: what a design can improve or limit."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import cached_property
@@ -16,7 +16,7 @@ from ..errors import InputError
 from ..history.history import History
 from ..history.stepped import angles_along
 from ..history.trace import trace
-from ..mechanics.fields import AnyFields, Fields, SpatialFields
+from ..mechanics.fields import AnyFields, Fields
 from ..numerics.quadrature import Panels, panels
 from ..numerics.rotations import length_of
 from ..quantities import dimension_of
@@ -54,18 +54,6 @@ class BodyView:
         """The fields of the equilibrium at the arc lengths."""
         return self.equilibrium.at(self.arc_length)
 
-    @property
-    def along_plane(self) -> Fields:
-        """The same for a body in the plane."""
-        assert isinstance(self.along, Fields)
-        return self.along
-
-    @property
-    def along_space(self) -> SpatialFields:
-        """The same for a body in space."""
-        assert isinstance(self.along, SpatialFields)
-        return self.along
-
     @cached_property
     def anchored(self) -> Bool[Array, "tendons points"]:
         """Whether each tendon reaches the arc length: up to its anchor."""
@@ -93,8 +81,7 @@ class BodyQuantity(NamedTuple):
     along: bool = False  # whether its last axis runs along the body
     per_tendon: bool = False  # whether it is one number for each tendon
     to_anchor: bool = False  # whether its last axis but one is the tendons, each of which ends at its anchor
-    not_in_space: str = ""  # why it is not known for a body in space, and the remedy
-    not_in_plane: str = ""
+    unknown: Mapping[int, str] = {}  # why it is not known, and the remedy, by the number of components of positions
 
     @property
     def dimension(self) -> Dimension:
@@ -173,9 +160,10 @@ def _integral(view: BodyView, of: Callable[[Array], Array]) -> Array:
 # --- of an equilibrium ---------------------------------------------------------------------------
 
 
-def _bending(view: BodyView) -> Array:
+def _bend(view: BodyView) -> Array:
+    """The curvature in the plane; in space the size of that about y and z."""
     along = view.along
-    return jnp.abs(along.curvature) if isinstance(along, Fields) else length_of(along.curvature[..., 1:])
+    return along.curvature if isinstance(along, Fields) else length_of(along.curvature[..., 1:])
 
 
 def _heading(view: BodyView) -> Array:
@@ -187,8 +175,7 @@ def _heading(view: BodyView) -> Array:
 
 
 def _strain(view: BodyView) -> Array:
-    along = view.along
-    strain = view.body.outer_strain(view.arc_length, along.curvature if isinstance(along, Fields) else _bending(view))
+    strain = view.body.outer_strain(view.arc_length, _bend(view))
     return jnp.stack([strain, -strain])
 
 
@@ -197,7 +184,7 @@ def _crossing(view: BodyView) -> Array:
         inside = view.equilibrium._dense.shortened(view.arc_length)
     else:
         sides = jnp.asarray([[float(tendon.side)] for tendon in view.body.tendons])
-        inside = sides * view.body.offset(view.arc_length) * view.along_plane.curvature
+        inside = sides * view.body.offset(view.arc_length) * view.along.curvature
     return jnp.where(view.anchored, inside, 0.0)
 
 
@@ -269,12 +256,12 @@ BODY_QUANTITIES: dict[str, BodyQuantity] = {
         BodyQuantity("slope", _slopes, bent=False, along=True),
         BodyQuantity(
             "curvature",
-            lambda v: v.along_plane.curvature,
+            lambda v: v.along.curvature,
             along=True,
-            not_in_space="has three components in space; take 'bending' or 'twist'",
+            unknown={3: "has three components in space; take 'bending' or 'twist'"},
         ),
-        BodyQuantity("bending", _bending, along=True),
-        BodyQuantity("twist", lambda v: v.along_space.twist, along=True, not_in_plane=FLAT),
+        BodyQuantity("bending", lambda v: jnp.abs(_bend(v)), along=True),
+        BodyQuantity("twist", lambda v: v.along.curvature[..., 0], along=True, unknown={2: FLAT}),
         BodyQuantity("heading", _heading, along=True),
         BodyQuantity("position", lambda v: v.along.position.T, along=True),
         BodyQuantity("strain", _strain, along=True),
@@ -285,15 +272,15 @@ BODY_QUANTITIES: dict[str, BodyQuantity] = {
         BodyQuantity("tension_loss", lambda v: v.equilibrium.tension_loss, per_tendon=True),
         BodyQuantity("tendon_displacement", lambda v: v.equilibrium.tendon_displacement, per_tendon=True),
         BodyQuantity("tip_angle", lambda v: v.equilibrium.tip_angle),
-        BodyQuantity("tip_twist", lambda v: v.equilibrium.twist[-1], not_in_plane=FLAT),
-        BodyQuantity("hysteresis", _hysteresis, not_in_space="is not known in space; leave it out"),
+        BodyQuantity("tip_twist", lambda v: v.equilibrium.twist[-1], unknown={2: FLAT}),
+        BodyQuantity("hysteresis", _hysteresis, unknown={3: "is not known in space; leave it out"}),
         BodyQuantity("tip_position", lambda v: v.equilibrium.tip_position),
         BodyQuantity("tip_x", lambda v: v.equilibrium.tip_position[0]),
         BodyQuantity("tip_y", lambda v: v.equilibrium.tip_position[1]),
-        BodyQuantity("tip_z", lambda v: v.equilibrium.tip_position[2], not_in_plane=FLAT),
-        BodyQuantity("tip_stiffness", _stiffness(_across), not_in_space=SEVERAL_ACROSS),
+        BodyQuantity("tip_z", lambda v: v.equilibrium.tip_position[2], unknown={2: FLAT}),
+        BodyQuantity("tip_stiffness", _stiffness(_across), unknown={3: SEVERAL_ACROSS}),
         BodyQuantity("tip_stiffness_x", _stiffness(_towards(0))),
         BodyQuantity("tip_stiffness_y", _stiffness(_towards(1))),
-        BodyQuantity("tip_stiffness_z", _stiffness(_towards(2)), not_in_plane=FLAT),
+        BodyQuantity("tip_stiffness_z", _stiffness(_towards(2)), unknown={2: FLAT}),
     )
 }

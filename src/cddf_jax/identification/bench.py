@@ -28,7 +28,7 @@ from ..programs.kept import kept_program
 from ..progress import stage
 from ..quantities import TAKE_THE_PLANE
 from ..robot.loads import Loads
-from ..robot.manipulator import Manipulator, in_space
+from ..robot.manipulator import Manipulator
 from ..robot.validation import check_weight
 from ..statics.equilibrium import RESULTS, Equilibrium
 from ..statics.solve import solve
@@ -276,7 +276,7 @@ def _evaluate(
 ) -> Evaluation:
     flat, unravel = jax.flatten_util.ravel_pytree((parameters, jnp.zeros(len(along))))
 
-    every = columns_of(manipulator.num_tendons, bench.setting.marker_names, in_space=bench.in_space(manipulator))
+    every = columns_of(manipulator.num_tendons, bench.setting.marker_names, bench.components(manipulator))
 
     def observe(flat):
         parameters, shift = unravel(flat)
@@ -398,7 +398,7 @@ def _check_body(table: Measurements, bench: Bench, manipulator: Manipulator, *, 
     check_weight(manipulator, bench.setting.loads)
     if bench.in_space(manipulator):
         with within("loads of three components", ValueError):
-            in_space(manipulator)
+            manipulator.with_angles()
         if "tip_angle" in bench.columns:
             _check_tip_angles(table, bench, zero_is_free=zero_is_free)
         return

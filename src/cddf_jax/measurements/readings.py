@@ -21,16 +21,15 @@ class Reading(NamedTuple):
     of_marker: bool = False  # markers last; its columns are those of `markers.marker_column`
 
 
-def _component(of: str, axis: int) -> Reading:
-    """One component of the positions `of` the tip or the markers."""
-    return Reading(lambda found: getattr(found, of)[..., axis], in_space=axis == 2, of_marker=of == "markers")
-
-
 READINGS = {
     "tip_tension": Reading(lambda found: found.tip_tension, per_tendon=True, by_cell=True),
     "tip_angle": Reading(lambda found: found.tip_angle, zero="angle_zero"),
-    **{f"tip_{axis}": _component("tip_position", i) for i, axis in enumerate("xyz")},
-    **{f"marker_{axis}": _component("markers", i) for i, axis in enumerate("xyz")},
+    "tip_x": Reading(lambda found: found.tip_position[..., 0]),
+    "tip_y": Reading(lambda found: found.tip_position[..., 1]),
+    "tip_z": Reading(lambda found: found.tip_position[..., 2], in_space=True),
+    "marker_x": Reading(lambda found: found.markers[..., 0], of_marker=True),
+    "marker_y": Reading(lambda found: found.markers[..., 1], of_marker=True),
+    "marker_z": Reading(lambda found: found.markers[..., 2], of_marker=True, in_space=True),
 }
 NAMED = {name: kind for name, kind in READINGS.items() if not kind.of_marker}  # whose names are those of columns
 
@@ -62,11 +61,11 @@ def of_tendons(name: str, num_tendons: int) -> list[str]:
     return [name, *(f"{name}_{i}" for i in range(2, num_tendons + 1))]
 
 
-def columns_of(num_tendons: int, markers: Sequence[str] = (), *, in_space: bool = False) -> list[str]:
-    """Every column that a manipulator with these markers can show."""
+def columns_of(num_tendons: int, markers: Sequence[str] = (), components: int = 2) -> list[str]:
+    """Every column that a manipulator with these markers and components of positions can show."""
     found = []
     for name, kind in READINGS.items():
-        if in_space or not kind.in_space:
+        if components == 3 or not kind.in_space:
             own = [f"{name[-1]}@{marker}" for marker in markers]
             found += own if kind.of_marker else of_tendons(name, num_tendons if kind.per_tendon else 1)
     return found

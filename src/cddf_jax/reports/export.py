@@ -75,8 +75,8 @@ def as_dataset(equilibrium: Equilibrium, arc_length: ArrayLike | Sequence[float]
         "axis": ("axis", np.array(AXES)),
     }
     used = {dim for dims, *_ in data.values() for dim in dims}
-    coords = {name: coord for name, coord in coords.items() if name in used}
-    return xarray.Dataset(data, coords, {"result": result_in_words(equilibrium) or "successful"})
+    words = {"result": result_in_words(equilibrium) or "successful"}
+    return xarray.Dataset(data, {name: coord for name, coord in coords.items() if name in used}, words)
 
 
 def as_frame(what: Equilibrium | History | Determination | Measurements | Plan) -> "pandas.DataFrame":

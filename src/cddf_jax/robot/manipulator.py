@@ -428,6 +428,14 @@ class Manipulator(eqx.Module):
         drag = self.tendon_drag
         return drag if drag is None or present is None else jnp.where(present, drag, 0.0)
 
+    def with_angles(self) -> "Manipulator":
+        """The same body in space: all tendons have an angle, 0 and pi in the place of the sides +1 and -1."""
+        if all(tendon.angle is not None for tendon in self.tendons):
+            return self
+        angles = {+1: 0.0, -1: np.pi}
+        tendons = [t if t.angle is not None else replace(t, side=1, angle=angles[t.side]) for t in self.tendons]
+        return replace(self, tendons=tuple(tendons))
+
     def validate(self, *, offsets_outside_wall: bool = False) -> "Manipulator":
         """Check on the host that the numbers describe a body; return the manipulator itself.
 
@@ -445,12 +453,8 @@ class Manipulator(eqx.Module):
 
 
 def in_space(manipulator: Manipulator) -> Manipulator:
-    """The same body, whose tendons all have an angle: 0 and pi in the place of the sides +1 and -1."""
-    if all(tendon.angle is not None for tendon in manipulator.tendons):
-        return manipulator
-    angles = {+1: 0.0, -1: np.pi}
-    tendons = [t if t.angle is not None else replace(t, side=1, angle=angles[t.side]) for t in manipulator.tendons]
-    return replace(manipulator, tendons=tuple(tendons))
+    """As `Manipulator.with_angles`."""
+    return manipulator.with_angles()
 
 
 def conical(

@@ -182,8 +182,9 @@ class Sweep:
     def known_outputs(self) -> Mapping[str, tuple[str, ...]]:
         """All possible outputs, and their dimensions besides those of the sweep."""
         if self.in_short_steps:
-            of_one_tendon = "num_turns"
-            return {name: dims for name, dims in one_solve.OF_HISTORY[2].items() if name != of_one_tendon}
+            return {
+                name: dims for name, dims in one_solve.OF_HISTORY[2].items() if name != "num_turns"
+            }  # of one tendon
         return (one_solve.OF_HISTORY if self.history else one_solve.OUTPUTS_OF)[self.case.components]
 
     @cached_property
