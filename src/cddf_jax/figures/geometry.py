@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from ..errors import InputError
-from ..mechanics.fields import AnyFields, Fields, in_the_plane
+from ..mechanics.fields import AnyFields, Fields, SpatialFields, in_the_plane
 from ..programs.evaluated import evaluated
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
@@ -168,7 +168,7 @@ def straight_body(manipulator: Manipulator, arc_length: np.ndarray, level: float
 
 def drawn(manipulator: Manipulator, along: AnyFields, loads: Loads | None, caller: str = "figures") -> Drawn:
     """The body, tendons and loads to draw, from the fields along a body in space; the caller refuses the plane."""
-    if isinstance(along, Fields):
+    if not isinstance(along, SpatialFields):
         raise InputError(f"{caller}: the body is in the plane; draw_shape draws it")
     s = np.asarray(along.arc_length)
     there, outer = reached(manipulator, s), 1e3 * _radii(manipulator, s)[0]

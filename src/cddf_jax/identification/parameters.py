@@ -83,8 +83,8 @@ def stiffness_parameter(manipulator: Manipulator) -> str:
 
 def camera_parameters(manipulator: Manipulator) -> tuple[str, ...]:
     """The pose of the camera: shift and turn, of six numbers in space and three in the plane."""
-    pose = tuple(f"{name}_{axis}" for name in (CAMERA, f"{CAMERA}_turn") for axis in "xyz")
-    return {2: tuple(name for name in pose if name not in OF_SPACE), 3: pose}[manipulator.components]
+    axes, turns = {2: ("xy", "z"), 3: ("xyz", "xyz")}[manipulator.components]
+    return (*(f"{CAMERA}_{axis}" for axis in axes), *(f"{CAMERA}_turn_{axis}" for axis in turns))
 
 
 def free_parameters(manipulator: Manipulator, free: Sequence[str] | str | None) -> tuple[str, ...]:

@@ -452,9 +452,7 @@ class Manipulator(eqx.Module):
         return self
 
 
-def in_space(manipulator: Manipulator) -> Manipulator:
-    """As `Manipulator.with_angles`."""
-    return manipulator.with_angles()
+in_space = Manipulator.with_angles  # as the solver calls it
 
 
 def conical(

@@ -28,8 +28,7 @@ def manipulator_in_words(manipulator: Manipulator) -> str:
     if any(np.ndim(number) for number in (manipulator.length, manipulator.friction_coefficient)):
         raise TypeError("a batch has no words")
     length = float(manipulator.length)
-    varies, known = callable(manipulator.youngs_modulus), _MATERIAL
-    kind = f"{manipulator.kinematics} kinematics"
+    varies, known, kind = callable(manipulator.youngs_modulus), _MATERIAL, f"{manipulator.kinematics} kinematics"
     if manipulator.in_space:
         known = (*known[:2], "axial_factor", "shear_factor", "poissons_ratio", *known[2:])
         kind = "in space, its axis stretches and shears" if manipulator.extensible else "in space"

@@ -160,8 +160,7 @@ class Sweep:
         if loads is None and any(name.startswith("loads.") for name in names):
             loads = Loads()
         if loads is not None:
-            of_space = any(map(_OF_SPACE.fullmatch, names))
-            loads = loads.with_components(3 if of_space else self.manipulator.components)
+            loads = loads.with_components(3 if any(map(_OF_SPACE.fullmatch, names)) else self.manipulator.components)
         tension, count = self.base_tension, self.manipulator.num_tendons
         own = [of_tendon("base_tension", i) for i in range(count)]
         if tension is None and not set(own).isdisjoint(names):
@@ -181,11 +180,10 @@ class Sweep:
     @property
     def known_outputs(self) -> Mapping[str, tuple[str, ...]]:
         """All possible outputs, and their dimensions besides those of the sweep."""
+        of_history, of_one_tendon = one_solve.OF_HISTORY, "num_turns"
         if self.in_short_steps:
-            return {
-                name: dims for name, dims in one_solve.OF_HISTORY[2].items() if name != "num_turns"
-            }  # of one tendon
-        return (one_solve.OF_HISTORY if self.history else one_solve.OUTPUTS_OF)[self.case.components]
+            return {name: dims for name, dims in of_history[2].items() if name != of_one_tendon}
+        return (of_history if self.history else one_solve.OUTPUTS_OF)[self.case.components]
 
     @cached_property
     def dtype(self) -> np.dtype:
