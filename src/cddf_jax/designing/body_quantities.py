@@ -16,9 +16,8 @@ from ..errors import InputError
 from ..history.history import History
 from ..history.stepped import angles_along
 from ..history.trace import trace
-from ..mechanics.fields import AnyFields, Fields
+from ..mechanics.fields import AnyFields
 from ..numerics.quadrature import Panels, panels
-from ..numerics.rotations import length_of
 from ..quantities import dimension_of
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
@@ -160,22 +159,8 @@ def _integral(view: BodyView, of: Callable[[Array], Array]) -> Array:
 # --- of an equilibrium ---------------------------------------------------------------------------
 
 
-def _bend(view: BodyView) -> Array:
-    """The curvature in the plane; in space the size of that about y and z."""
-    along = view.along
-    return along.curvature if isinstance(along, Fields) else length_of(along.curvature[..., 1:])
-
-
-def _heading(view: BodyView) -> Array:
-    """The heading; in space the angle between the axes of cross-section and base."""
-    along = view.along
-    if isinstance(along, Fields):
-        return along.heading
-    return jnp.arctan2(length_of(along.frame[..., 1:, 0]), along.frame[..., 0, 0])
-
-
 def _strain(view: BodyView) -> Array:
-    strain = view.body.outer_strain(view.arc_length, _bend(view))
+    strain = view.body.outer_strain(view.arc_length, view.along.bend())
     return jnp.stack([strain, -strain])
 
 
@@ -260,9 +245,9 @@ BODY_QUANTITIES: dict[str, BodyQuantity] = {
             along=True,
             unknown={3: "has three components in space; take 'bending' or 'twist'"},
         ),
-        BodyQuantity("bending", lambda v: jnp.abs(_bend(v)), along=True),
+        BodyQuantity("bending", lambda v: jnp.abs(v.along.bend()), along=True),
         BodyQuantity("twist", lambda v: v.along.curvature[..., 0], along=True, unknown={2: FLAT}),
-        BodyQuantity("heading", _heading, along=True),
+        BodyQuantity("heading", lambda v: v.along.tilt(), along=True),
         BodyQuantity("position", lambda v: v.along.position.T, along=True),
         BodyQuantity("strain", _strain, along=True),
         BodyQuantity("crossing", _crossing, along=True, to_anchor=True),
