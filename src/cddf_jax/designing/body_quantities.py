@@ -1,6 +1,6 @@
 """Quantities of a body and of its equilibria, by name: what a design can improve or limit."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import cached_property
@@ -16,11 +16,10 @@ from ..errors import InputError
 from ..history.history import History
 from ..history.stepped import angles_along
 from ..history.trace import trace
-from ..mechanics.fields import AnyFields, Fields, SpatialFields
+from ..mechanics.fields import AnyFields
 from ..numerics.elements import Elements, elements_between, joints
-from ..numerics.rotations import length_of
 from ..quantities import dimension_of
-from ..robot.loads import Loads, loads_in_space
+from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import Equilibrium
 from ..statics.solve import solve
@@ -54,18 +53,6 @@ class BodyView:
         """The fields of the equilibrium at the arc lengths."""
         return self.equilibrium.at(self.arc_length)
 
-    @property
-    def along_plane(self) -> Fields:
-        """The same for a body in the plane."""
-        assert isinstance(self.along, Fields)
-        return self.along
-
-    @property
-    def along_space(self) -> SpatialFields:
-        """The same for a body in space."""
-        assert isinstance(self.along, SpatialFields)
-        return self.along
-
     @cached_property
     def anchored(self) -> Bool[Array, "tendons points"]:
         """Whether each tendon reaches the arc length: up to its anchor."""
@@ -93,8 +80,7 @@ class BodyQuantity(NamedTuple):
     along: bool = False  # whether its last axis runs along the body
     per_tendon: bool = False  # whether it is one number for each tendon
     to_anchor: bool = False  # whether its last axis but one is the tendons, each of which ends at its anchor
-    not_in_space: str = ""  # why it is not known for a body in space, and the remedy
-    not_in_plane: str = ""
+    unknown: Mapping[int, str] = {}  # why it is not known, and the remedy, by the number of components of positions
 
     @property
     def dimension(self) -> Dimension:
@@ -173,22 +159,8 @@ def _integral(view: BodyView, of: Callable[[Array], Array]) -> Array:
 # --- of an equilibrium ---------------------------------------------------------------------------
 
 
-def _bending(view: BodyView) -> Array:
-    along = view.along
-    return jnp.abs(along.curvature) if isinstance(along, Fields) else length_of(along.curvature[..., 1:])
-
-
-def _heading(view: BodyView) -> Array:
-    """The heading; in space the angle between the axes of cross-section and base."""
-    along = view.along
-    if isinstance(along, Fields):
-        return along.heading
-    return jnp.arctan2(length_of(along.frame[..., 1:, 0]), along.frame[..., 0, 0])
-
-
 def _strain(view: BodyView) -> Array:
-    along = view.along
-    strain = view.body.outer_strain(view.arc_length, along.curvature if isinstance(along, Fields) else _bending(view))
+    strain = view.body.outer_strain(view.arc_length, view.along.bend())
     return jnp.stack([strain, -strain])
 
 
@@ -197,7 +169,7 @@ def _crossing(view: BodyView) -> Array:
         inside = view.equilibrium._dense.shortened(view.arc_length)
     else:
         sides = jnp.asarray([[float(tendon.side)] for tendon in view.body.tendons])
-        inside = sides * view.body.offset(view.arc_length) * view.along_plane.curvature
+        inside = sides * view.body.offset(view.arc_length) * view.along.curvature
     return jnp.where(view.anchored, inside, 0.0)
 
 
@@ -211,7 +183,7 @@ def _stiffness(direction: Callable[[Equilibrium], Array]) -> Callable[[BodyView]
         assert view.case is not None
         found = view.equilibrium
         loads = Loads() if view.case.loads is None else view.case.loads
-        loads = loads_in_space(loads) if found.in_space else loads
+        loads = loads.with_components(found.tip_position.shape[-1])
 
         def tip(force: Array) -> Array:  # at constant base tensions, as in `tip_compliance`
             given = view.body, found.base_tension, replace(loads, tip_force=force)
@@ -269,13 +241,13 @@ BODY_QUANTITIES: dict[str, BodyQuantity] = {
         BodyQuantity("slope", _slopes, bent=False, along=True),
         BodyQuantity(
             "curvature",
-            lambda v: v.along_plane.curvature,
+            lambda v: v.along.curvature,
             along=True,
-            not_in_space="has three components in space; take 'bending' or 'twist'",
+            unknown={3: "has three components in space; take 'bending' or 'twist'"},
         ),
-        BodyQuantity("bending", _bending, along=True),
-        BodyQuantity("twist", lambda v: v.along_space.twist, along=True, not_in_plane=FLAT),
-        BodyQuantity("heading", _heading, along=True),
+        BodyQuantity("bending", lambda v: jnp.abs(v.along.bend()), along=True),
+        BodyQuantity("twist", lambda v: v.along.curvature[..., 0], along=True, unknown={2: FLAT}),
+        BodyQuantity("heading", lambda v: v.along.tilt(), along=True),
         BodyQuantity("position", lambda v: v.along.position.T, along=True),
         BodyQuantity("strain", _strain, along=True),
         BodyQuantity("crossing", _crossing, along=True, to_anchor=True),
@@ -285,15 +257,15 @@ BODY_QUANTITIES: dict[str, BodyQuantity] = {
         BodyQuantity("tension_loss", lambda v: v.equilibrium.tension_loss, per_tendon=True),
         BodyQuantity("tendon_displacement", lambda v: v.equilibrium.tendon_displacement, per_tendon=True),
         BodyQuantity("tip_angle", lambda v: v.equilibrium.tip_angle),
-        BodyQuantity("tip_twist", lambda v: v.equilibrium.twist[-1], not_in_plane=FLAT),
-        BodyQuantity("hysteresis", _hysteresis, not_in_space="is not known in space; leave it out"),
+        BodyQuantity("tip_twist", lambda v: v.equilibrium.twist[-1], unknown={2: FLAT}),
+        BodyQuantity("hysteresis", _hysteresis, unknown={3: "is not known in space; leave it out"}),
         BodyQuantity("tip_position", lambda v: v.equilibrium.tip_position),
         BodyQuantity("tip_x", lambda v: v.equilibrium.tip_position[0]),
         BodyQuantity("tip_y", lambda v: v.equilibrium.tip_position[1]),
-        BodyQuantity("tip_z", lambda v: v.equilibrium.tip_position[2], not_in_plane=FLAT),
-        BodyQuantity("tip_stiffness", _stiffness(_across), not_in_space=SEVERAL_ACROSS),
+        BodyQuantity("tip_z", lambda v: v.equilibrium.tip_position[2], unknown={2: FLAT}),
+        BodyQuantity("tip_stiffness", _stiffness(_across), unknown={3: SEVERAL_ACROSS}),
         BodyQuantity("tip_stiffness_x", _stiffness(_towards(0))),
         BodyQuantity("tip_stiffness_y", _stiffness(_towards(1))),
-        BodyQuantity("tip_stiffness_z", _stiffness(_towards(2)), not_in_plane=FLAT),
+        BodyQuantity("tip_stiffness_z", _stiffness(_towards(2)), unknown={2: FLAT}),
     )
 }

@@ -11,7 +11,7 @@ from jaxtyping import ArrayLike
 
 from ..errors import InputError, within
 from ..quantities import check_range_in_space
-from ..robot.manipulator import Manipulator, in_space as body_in_space
+from ..robot.manipulator import Manipulator
 from ..robot.validation import check_weight
 from ..statics.arguments import check_targets, split_actuation
 from ..statics.equilibrium import Equilibrium
@@ -183,7 +183,7 @@ def problem_of(
     if not used or not all(isinstance(case, LoadCase) for case in used):
         raise InputError("design: cases must be one LoadCase or more, as in cases=LoadCase(50.0)")
     if any(case.of(manipulator).in_space for case in used):
-        manipulator = body_in_space(manipulator)
+        manipulator = manipulator.with_angles()
     numbers = free_numbers_of(used[0].of(manipulator), free, bounds)
     _check(manipulator, [*constraints, *(aim for _, aim in objectives)], numbers, used)
     implied = _implied(manipulator, constraints, offsets_outside_wall=options.offsets_outside_wall)
@@ -243,10 +243,8 @@ def _check(
     """Refuse what the body lacks, places that are not on it, and free numbers that a case sets."""
     length, free = float(np.asarray(body.length)), {name for names in numbers.names for name in names}
     for part in parts:
-        if body.in_space and part.known.not_in_space:
-            raise InputError(f"design: {part.name!r} {part.known.not_in_space}")
-        if not body.in_space and part.known.not_in_plane:
-            raise InputError(f"design: {part.name!r} {part.known.not_in_plane}")
+        if why := part.known.unknown.get(body.components):
+            raise InputError(f"design: {part.name!r} {why}")
         if part.name == "strain" and body.extensible:
             raise InputError("design: 'strain' is not known along an axis that stretches; take 'bending'")
         if isinstance(part, Even) and not part.known.along and body.num_tendons == 1:

@@ -107,8 +107,7 @@ def tensions_and_loads(controls: Sequence[Control]) -> tuple[list[Control], list
 
 def load_components(body: Manipulator) -> dict[str, dict[str, str]]:
     """Names and axes of the components of each load; a moment in the plane has one and no axis."""
-    axes = "XYZ" if body.in_space else "XY"
-    found = {kind: {f"{kind}.{i}": axis for i, axis in enumerate(axes)} for kind in LOADS}
+    found = {kind: {f"{kind}.{i}": axis for i, axis in enumerate("XYZ"[: body.components])} for kind in LOADS}
     return found if body.in_space else found | {"tip_moment": {"tip_moment": ""}}
 
 

@@ -62,7 +62,7 @@ class Exploration:
     def __post_init__(self):
         with within("gravity of the robot file"):
             check_weight(self.manipulator, self.setting.loads)
-            if len(self.gravity or ()) > 2 and not self.manipulator.in_space:
+            if len(self.gravity or ()) > self.manipulator.components:
                 raise InputError(
                     "it has three components, but the body is in the plane; give two, or angles of tendons"
                 )

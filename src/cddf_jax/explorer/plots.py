@@ -38,9 +38,6 @@ NUM_ARROWS = 11  # along each tendon
 LONGEST_ARROW = 0.2  # of the length of the body
 DASHES = {"-": [], "--": [6], "-.": [6, 4, 2, 4], ":": [2, 4]}
 NORMAL, FRICTION = GREEN, VERMILION
-# drawn over the arc length
-ALONG = ("tension", "curvature", "normal_force", "friction_force")
-ALONG_IN_SPACE = ("tension", "bending", "twist", "normal_force", "friction_force")
 OF_BODY = ("curvature", "bending", "twist")  # one line, not one for each tendon
 ARROW = ("x_start", "y_start", "x_end", "y_end")  # columns of arrows, as Bokeh calls them
 MARKS: dict[str, Look] = {  # of readings, and of the model in their rows
@@ -82,6 +79,9 @@ def look_of_legend(fig: Plot) -> None:
 
 class BodyPlot:
     """The body to scale with walls, bore, tendons, force densities and tip loads; the rest shape dotted."""
+
+    over_arc_length = ("tension", "curvature", "normal_force", "friction_force")  # what is drawn beside it
+    angles = views = ()
 
     def __init__(self, manipulator: Manipulator, arc_length: np.ndarray):
         self.figure = bare_figure("X (mm)", "Y (mm)", match_aspect=True, height=450, name="body")
@@ -149,6 +149,9 @@ class BodyPlot:
         self.sources["moment"].data = _xy(turn)
         self.sources["turn"].data = _arrow_data(turn[-2:-1], turn[-1:])
 
+    def show_points(self, kind: str, tables: Sequence[TableColumns]) -> None:
+        """Measured positions are drawn in space only."""
+
     def show_loop(self, loop: Loop | None) -> None:
         """The axis of the body with its past; None for nothing."""
         if loop is not None:
@@ -203,9 +206,8 @@ def show_named(fig: Plot, name: str, there: bool) -> None:
 class AlongPlots:
     """Tension, curvature and the forces per length over the arc length."""
 
-    def __init__(self, manipulator: Manipulator, arc_length: np.ndarray):
-        names = ALONG_IN_SPACE if manipulator.in_space else ALONG
-        columns = [f"{name}_{i}" for name in names for i in range(manipulator.num_tendons)]
+    def __init__(self, names: Sequence[str], num_tendons: int, arc_length: np.ndarray):
+        columns = [f"{name}_{i}" for name in names for i in range(num_tendons)]
         at_rest: Columns = {"s": 1e3 * arc_length} | dict.fromkeys(columns, 0 * arc_length)
         self.figures, self.source = {}, ColumnDataSource(at_rest)
         for name in names:
@@ -215,7 +217,7 @@ class AlongPlots:
             fig.xaxis.ticker.desired_num_ticks = 4
             if name not in ("curvature", "twist"):
                 fig.y_range.start = 0
-            for i in range(1 if name in OF_BODY else manipulator.num_tendons):
+            for i in range(1 if name in OF_BODY else num_tendons):
                 look = {"line_color": BLACK} if name in OF_BODY else tendon_look(i)
                 fig.line("s", f"{name}_{i}", source=self.source, line_width=2, **look)
             fig.add_tools(HoverTool(mode="vline", tooltips=[("s", "@s{0.0} mm"), (label, "$y{0.000}")]))

@@ -11,7 +11,6 @@ from bokeh.models import ColumnDataSource, CustomJS, Slider
 from ..figures.geometry import AZIMUTH, ELEVATION, Drawn, drawn
 from ..figures.looks import BLACK, GREY, PALE, PURPLE
 from ..measurements.markers import marker_column
-from ..mechanics.fields import SpatialFields
 from ..robot.manipulator import Manipulator
 from ..units import round_number
 from .answers import Picture
@@ -64,6 +63,8 @@ def columns_of_rows(rows: Iterable[Row]) -> Columns:
 
 class SpacePlot:
     """The body to scale with its tendons and tip loads. The browser draws it, and turns it by itself."""
+
+    over_arc_length = ("tension", "bending", "twist", "normal_force", "friction_force")  # what is drawn beside it
 
     def __init__(self, manipulator: Manipulator):
         self.length = 1e3 * float(manipulator.length)
@@ -146,7 +147,6 @@ class SpacePlot:
 
     def show(self, picture: Picture) -> None:
         """Draw an equilibrium."""
-        assert isinstance(picture.along, SpatialFields)
         what = drawn(picture.case.manipulator, picture.along, picture.case.loads)
         points = np.concatenate([what.points, self.length * LEAST_EXTENT])
         reach = max(REACH * self.length, float(np.max(np.linalg.norm(what.points - self.middle, axis=1))))

@@ -64,19 +64,18 @@ class ExplorerView:
         body, s = exploration.manipulator, exploration.arc_length
         self.several = body.num_tendons > 1
         self.body = SpacePlot(body) if body.in_space else BodyPlot(body, s)
-        self.along, self.tension = AlongPlots(body, s), TensionPlots(body.num_tendons)
+        self.along = AlongPlots(self.body.over_arc_length, body.num_tendons, s)
+        self.tension = TensionPlots(body.num_tendons)
         pulled = [table for table in exploration.tables if "base_tension" in table]
         self._show_points("data", [(table, table.columns) for table in pulled])
         self._make_controls()
         self._make_words()
-        turned, views = [], []
-        if isinstance(self.body, SpacePlot):
-            turned, views = [grid(*map(plot, self.body.angles), least=200)], self.body.views
+        turned = [grid(*map(plot, self.body.angles), least=200)] if self.body.angles else []
         tension = grid(*map(plot, self.tension.figures.values()), least=330)
         parts = {
             "body": [plot(self.body.figure), *turned],
             "numbers": [self.numbers],
-            "along": [grid(*map(plot, (*views, *self.along.figures.values())), least=230)],
+            "along": [grid(*map(plot, (*self.body.views, *self.along.figures.values())), least=230)],
             "past": self.memory.parts,
             "what_if": [self.what_if],
         }
@@ -152,8 +151,8 @@ class ExplorerView:
         buttons = pn.FlexBox(self.fit_button, self.take_over)
         fit = column(title("What the data tell"), buttons, self.verdict)
         files = column(title("Save"), pn.FlexBox(*self._downloads()))
-        in_space = self.exploration.manipulator.in_space
-        chosen = pn.FlexBox(*(self.directions if self.several else []), *([] if in_space else [self.kinematics]))
+        kinematics = [] if self.exploration.manipulator.in_space else [self.kinematics]
+        chosen = pn.FlexBox(*(self.directions if self.several else []), *kinematics)
         return {
             "body": self.drawn["body"],
             "numbers": self.drawn["numbers"],
@@ -228,8 +227,7 @@ class ExplorerView:
     def _show_points(self, kind: str, tables: Sequence[TableColumns]) -> None:
         """Readings, or what the body shows in their rows."""
         self.tension.show_points(kind, tables)
-        if isinstance(self.body, SpacePlot):
-            self.body.show_points(kind, tables)
+        self.body.show_points(kind, tables)
 
     def _show_model(self, settings: Settings, curve: Curve, rows: Sequence[TableColumns]) -> None:
         self.tension.show_curve(curve)

@@ -9,7 +9,6 @@ from matplotlib.figure import Figure
 
 from ..errors import InputError
 from ..files.cross_sections import SectionColumn
-from ..mechanics.fields import SpatialFields
 from ..quantities import QUANTITIES
 from ..robot.manipulator import Manipulator
 from ..robot.profiles import Constant, breakpoints
@@ -53,8 +52,7 @@ def draw_along(
     s = stations(manipulator)
     along = fields_along(equilibrium, s)
     lines = lines_along(manipulator, along, quantity)
-    parts = isinstance(along, SpatialFields) and quantity == "curvature"
-    names = BENDING if parts else [f"tendon {i + 1}" for i in range(len(lines))]
+    names = BENDING if quantity == "curvature" else [f"tendon {i + 1}" for i in range(len(lines))]
     with draw.axes_or_new(axes, HEIGHT) as axes:
         _draw_lines(axes, 1e3 * s, lines, names, style)
         axes.set(xlabel=QUANTITIES["arc_length"].axis_label, ylabel=QUANTITIES[quantity].axis_label)

@@ -36,7 +36,7 @@ def equilibrium_figure(manipulator: Manipulator, equilibrium: Equilibrium, loads
         InputError: when the solve failed and there is no shape to draw.
     """
     if equilibrium.tip_frame is not None:
-        return _figure_in_space(manipulator, equilibrium, loads)
+        return _spatial_figure(manipulator, equilibrium, loads)
     with draw.house_style():
         figure = draw.new_figure(draw.DOUBLE_COLUMN, HEIGHT)
         shape, tension = figure.subplots(1, 2, width_ratios=(1.5, 1))
@@ -70,7 +70,7 @@ def draw_shape(
     s = geometry.stations(manipulator)
     along = geometry.fields_along(equilibrium, s)
     if isinstance(along, SpatialFields):
-        return _draw_shape_in_space(geometry.drawn(manipulator, along, loads), axes)
+        return _draw_spatial_shape(geometry.drawn(manipulator, along, loads), axes)
     body, straight = geometry.bent_body(manipulator, along), geometry.straight_body(manipulator, s)
     tension = np.where(geometry.reached(manipulator, s), along.tension, np.nan)
     norm = space.tension_scale(tension)
@@ -114,7 +114,7 @@ def draw_view(
     """
     if plane not in space.VIEWS:
         raise InputError(f"draw_view: plane must be one of {', '.join(space.VIEWS)}, got {plane!r}")
-    what = _in_space("draw_view", manipulator, equilibrium, loads)
+    what = _drawn("draw_view", manipulator, equilibrium, loads)
     norm, given = space.tension_scale(what.tension), axes
     with draw.axes_or_new(axes, HEIGHT) as axes:
         space.draw_in_plane(axes, what, norm, plane)
@@ -137,7 +137,7 @@ def views_figure(manipulator: Manipulator, equilibrium: Equilibrium, loads: Load
     Raises:
         InputError: for a body in the plane, or when the solve failed.
     """
-    what = _in_space("views_figure", manipulator, equilibrium, loads)
+    what = _drawn("views_figure", manipulator, equilibrium, loads)
     norm = space.tension_scale(what.tension)
     with draw.house_style():
         height = max(space.height_of_views(what.points, VIEWS_WIDTH), 1.3)
@@ -152,33 +152,30 @@ def _draw_views(figure: Figure, what: Drawn, norm: Normalize) -> None:
     space.draw_views(figure, lambda axes, plane: space.draw_in_plane(axes, what, norm, plane), what.points, VIEWS_WIDTH)
 
 
-def _in_space(who: str, manipulator: Manipulator, equilibrium: Equilibrium, loads: Loads | None) -> Drawn:
-    along = geometry.fields_along(equilibrium, geometry.stations(manipulator))
-    if not isinstance(along, SpatialFields):
-        raise InputError(f"{who}: the body is in the plane; draw_shape draws it")
-    return geometry.drawn(manipulator, along, loads)
+def _drawn(who: str, manipulator: Manipulator, equilibrium: Equilibrium, loads: Loads | None) -> Drawn:
+    return geometry.drawn(manipulator, geometry.fields_along(equilibrium, geometry.stations(manipulator)), loads, who)
 
 
-def _draw_shape_in_space(what: Drawn, axes: Axes | None) -> Axes:
+def _draw_spatial_shape(what: Drawn, axes: Axes | None) -> Axes:
     norm = space.tension_scale(what.tension)
     with space.scene_or_new(axes, what.points, 2.2, 2.15) as scene:
-        space.draw_in_space(scene, what, norm)
+        space.draw_scene(scene, what, norm)
         space.scale_of_scene(scene, norm, "$T$ (N)", given=axes is not None)
         if axes is None:
             _legend_of_loads(draw.figure_of(scene), what.loads)
     return scene
 
 
-def _figure_in_space(manipulator: Manipulator, equilibrium: Equilibrium, loads: Loads | None) -> Figure:
+def _spatial_figure(manipulator: Manipulator, equilibrium: Equilibrium, loads: Loads | None) -> Figure:
     """The body in three dimensions, tension and curvature beside it, three plane views below."""
-    what = _in_space("equilibrium_figure", manipulator, equilibrium, loads)
+    what = _drawn("equilibrium_figure", manipulator, equilibrium, loads)
     norm = space.tension_scale(what.tension)
     with draw.house_style():
         below = space.height_of_views(what.points, VIEWS_WIDTH) + 0.1
         rows = -(-manipulator.num_tendons // 3)  # of the legend
         figure = draw.placed_figure(draw.DOUBLE_COLUMN, below + 3.2 + 0.16 * rows)
         scene, _ = space.new_scene(figure, what.points, 0.1, below + 0.45, 3.0, 2.4)
-        space.draw_in_space(scene, what, norm)
+        space.draw_scene(scene, what, norm)
         for quantity, bottom in (("tension", 1.95), ("curvature", 0.45)):
             panel = draw.place_in(figure, 4.6, below + bottom, 2.45, 1.1)
             draw_along(manipulator, equilibrium, quantity, panel)
@@ -255,15 +252,12 @@ def draw_force_arrows(manipulator: Manipulator, equilibrium: Equilibrium, axes: 
     Raises:
         InputError: when the solve failed.
     """
-    length, in_space = float(manipulator.length), equilibrium.tip_frame is not None
-    places = length * (np.arange(ARROWS) + 0.45) / ARROWS
-    grid = geometry.stations(manipulator) if in_space else np.linspace(0.0, length, 201)
-    s = np.unique(np.concatenate([grid, places]))
-    along, there = geometry.fields_along(equilibrium, s), geometry.reached(manipulator, s)
-    forces, at = np.stack([along.normal_force, along.friction_force]), there & np.isin(s, places)
-    if isinstance(along, SpatialFields):
-        return _draw_forces_in_space(geometry.drawn(manipulator, along, None), forces[:, at], at, axes)
-    body = geometry.bent_body(manipulator, along)
+    if equilibrium.tip_frame is not None:
+        return _draw_spatial_forces(manipulator, equilibrium, axes)
+    length = float(manipulator.length)
+    s, at = _with_arrows(manipulator, np.linspace(0.0, length, 201))
+    along, there = geometry.planar_fields_along(equilibrium, s), geometry.reached(manipulator, s)
+    forces, body = np.stack([along.normal_force, along.friction_force]), geometry.bent_body(manipulator, along)
     tendons = geometry.tendon_paths(manipulator, body, s)
     strongest = float(np.max(np.linalg.norm(forces[:, there], axis=-1)))
     with draw.axes_or_new(axes, HEIGHT) as axes:
@@ -283,13 +277,22 @@ def draw_force_arrows(manipulator: Manipulator, equilibrium: Equilibrium, axes: 
     return axes
 
 
-def _draw_forces_in_space(what: Drawn, forces: np.ndarray, at: np.ndarray, axes: Axes | None) -> Axes:
-    """Normal and friction force as arrows at some points of the tendons."""
+def _with_arrows(manipulator: Manipulator, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A grid of arc lengths with the places of arrows, and where each tendon has an arrow, (tendons, points)."""
+    places = float(manipulator.length) * (np.arange(ARROWS) + 0.45) / ARROWS
+    s = np.unique(np.concatenate([grid, places]))
+    return s, geometry.reached(manipulator, s) & np.isin(s, places)
+
+
+def _draw_spatial_forces(manipulator: Manipulator, equilibrium: Equilibrium, axes: Axes | None) -> Axes:
+    s, at = _with_arrows(manipulator, geometry.stations(manipulator))
+    along = geometry.fields_along(equilibrium, s)
+    what, forces = geometry.drawn(manipulator, along, None), np.stack([along.normal_force, along.friction_force])[:, at]
     strongest = float(np.max(np.linalg.norm(forces, axis=-1), initial=0.0))
     arrows = forces * (LONGEST * what.length / (strongest or 1.0))
     points = np.concatenate([what.points, *(what.tendons[at] + arrows)])
     with space.scene_or_new(axes, points, 2.6, 2.4) as scene:
-        space.draw_body_in_space(scene, what)
+        space.draw_solid(scene, what)
         for path in what.tendons:
             scene.plot(*path.T, color=looks.BLACK, linewidth=0.5, zorder=5)
         kinds = zip(("normal", "friction"), (looks.BLUE, looks.VERMILION), forces, arrows, strict=True)

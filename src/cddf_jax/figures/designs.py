@@ -9,9 +9,8 @@ from matplotlib.figure import Figure
 
 from ..designing.pareto import ParetoFront
 from ..designing.results import Design
-from ..mechanics.fields import SpatialFields
 from ..quantities import QUANTITIES
-from ..robot.manipulator import Manipulator, in_space as body_in_space
+from ..robot.manipulator import Manipulator
 from ..units import preferred
 from . import geometry, looks, space, style as draw
 from .along import draw_along
@@ -34,7 +33,7 @@ def design_figure(design: Design) -> Figure:
     tendons, bending and twist, along both bodies.
     """
     if design.equilibria[0].in_space:
-        return _figure_in_space(design)
+        return _spatial_figure(design)
     with draw.house_style():
         figure = draw.new_figure(draw.DOUBLE_COLUMN, 3.4)
         grid = figure.add_gridspec(2, 2, width_ratios=(1.45, 1))
@@ -71,7 +70,7 @@ def draw_design(design: Design, axes: Axes | None = None) -> Axes:
         InputError: for axes of the wrong kind.
     """
     if design.equilibria[0].in_space:
-        return _draw_design_in_space(design, axes)
+        return _draw_spatial_design(design, axes)
     before, after = design.start, design.manipulator
     s, line = geometry.stations(after), LINE * 1e3 * float(after.length)
     bent = geometry.bent_body(after, geometry.planar_fields_along(design.equilibria[0], s))
@@ -97,8 +96,8 @@ def draw_design(design: Design, axes: Axes | None = None) -> Axes:
     return axes
 
 
-def _draw_design_in_space(design: Design, axes: Axes | None) -> Axes:
-    after, old = _drawn_in_space(design)
+def _draw_spatial_design(design: Design, axes: Axes | None) -> Axes:
+    after, old = _drawn(design)
     with space.scene_or_new(axes, np.concatenate([after.points, old]), 2.2, 2.15) as scene:
         _draw_both(scene, after, old)
         if axes is None:
@@ -106,9 +105,9 @@ def _draw_design_in_space(design: Design, axes: Axes | None) -> Axes:
     return scene
 
 
-def _figure_in_space(design: Design) -> Figure:
+def _spatial_figure(design: Design) -> Figure:
     """The designed body in three dimensions; beside it the routing of both bodies, and how they bend and twist."""
-    after, old = _drawn_in_space(design)
+    after, old = _drawn(design)
     with draw.house_style():
         figure = draw.placed_figure(draw.DOUBLE_COLUMN, 3.5)
         scene, _ = space.new_scene(figure, np.concatenate([after.points, old]), 0.1, 0.45, 2.5, 2.6)
@@ -125,16 +124,15 @@ def _figure_in_space(design: Design) -> Figure:
     return figure
 
 
-def _drawn_in_space(design: Design) -> tuple[Drawn, np.ndarray]:
+def _drawn(design: Design) -> tuple[Drawn, np.ndarray]:
     """What is drawn of the designed body in its first load case, and the axis of the start, mm, (points, 3)."""
     along = geometry.fields_along(design.equilibria[0], geometry.stations(design.manipulator))
     before = geometry.fields_along(design.equilibria_at_start[0], geometry.stations(design.start))
-    assert isinstance(along, SpatialFields)
     return geometry.drawn(design.manipulator, along, design.cases[0].loads), 1e3 * np.asarray(before.position)
 
 
 def _draw_both(scene: space.Axes3D, after: Drawn, old: np.ndarray) -> None:
-    space.draw_in_space(scene, after, space.tension_scale(after.tension))
+    space.draw_scene(scene, after, space.tension_scale(after.tension))
     scene.plot(*old.T, color=looks.GREY, linewidth=0.9, linestyle=(0, (4, 2)), zorder=8)
 
 
@@ -143,7 +141,7 @@ def _draw_routing(design: Design, quantity: str, axes: Axes) -> None:
     known, ends = QUANTITIES[quantity], {}
     for body, look in ((design.start, START), (design.manipulator, END)):
         s = geometry.stations(body)
-        tendons = zip(body_in_space(body).tendons, geometry.reached(body, s), strict=True)
+        tendons = zip(body.with_angles().tendons, geometry.reached(body, s), strict=True)
         for i, (tendon, there) in enumerate(tendons, 1):
             values = known.shown[0] * np.asarray(getattr(tendon, quantity)(s))[there]
             axes.plot(1e3 * s[there], values, **look)

@@ -9,7 +9,7 @@ from jaxtyping import ArrayLike
 from ..errors import InputError
 from ..mechanics.fields import AnyFields, Fields, SpatialFields, in_the_plane
 from ..programs.evaluated import evaluated
-from ..robot.loads import Loads, loads_in_space
+from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..robot.validation import joints
 from ..statics.equilibrium import Equilibrium
@@ -166,8 +166,10 @@ def straight_body(manipulator: Manipulator, arc_length: np.ndarray, level: float
     return _body(manipulator, arc_length, midline, 0.0 * arc_length)
 
 
-def drawn(manipulator: Manipulator, along: SpatialFields, loads: Loads | None) -> Drawn:
-    """The body, tendons and loads to draw, from the fields along a body."""
+def drawn(manipulator: Manipulator, along: AnyFields, loads: Loads | None, caller: str = "figures") -> Drawn:
+    """The body, tendons and loads to draw, from the fields along a body in space; the caller refuses the plane."""
+    if not isinstance(along, SpatialFields):
+        raise InputError(f"{caller}: the body is in the plane; draw_shape draws it")
     s = np.asarray(along.arc_length)
     there, outer = reached(manipulator, s), 1e3 * _radii(manipulator, s)[0]
     return Drawn(
@@ -175,7 +177,7 @@ def drawn(manipulator: Manipulator, along: SpatialFields, loads: Loads | None) -
         straight=SpatialBody(np.outer(1e3 * s, [1.0, 0.0, 0.0]), np.tile(np.eye(3), (len(s), 1, 1)), outer),
         tendons=np.where(there[..., None], 1e3 * np.asarray(along.path), np.nan),
         tension=np.where(there, along.tension, np.nan),
-        loads=loads_in_space(Loads() if loads is None else loads),
+        loads=(Loads() if loads is None else loads).with_components(3),
     )
 
 
@@ -227,25 +229,23 @@ def _size(vectors: ArrayLike) -> np.ndarray:
     return np.linalg.norm(vectors, axis=-1)
 
 
-def _bending(along: AnyFields) -> np.ndarray:
-    return np.abs(along.curvature) if isinstance(along, Fields) else _size(along.curvature[..., 1:])
-
-
-def _heading(along: AnyFields) -> ArrayLike:
-    """The heading; in space the angle between the axes of cross-section and base."""
-    return along.heading if isinstance(along, Fields) else np.arccos(np.clip(along.frame[..., 0, 0], -1.0, 1.0))
+def _bent(along: AnyFields) -> tuple[ArrayLike, ArrayLike, ArrayLike]:
+    """Size of the bending, twist, and heading: in space the angle between the axes of cross-section and base."""
+    if isinstance(along, Fields):
+        return np.abs(along.curvature), np.zeros_like(along.curvature), along.heading
+    return _size(along.curvature[..., 1:]), along.twist, np.arccos(np.clip(along.frame[..., 0, 0], -1.0, 1.0))
 
 
 # values in the unit of their label, (points,) or (tendons, points)
 ALONG: dict[str, Callable[[Manipulator, AnyFields], ArrayLike]] = {
     "tension": lambda _, along: along.tension,
     "curvature": lambda _, along: np.transpose(along.curvature),  # in space (3, points)
-    "bending": lambda _, along: _bending(along),
-    "twist": lambda _, along: np.zeros_like(along.curvature) if isinstance(along, Fields) else along.twist,
+    "bending": lambda _, along: _bent(along)[0],
+    "twist": lambda _, along: _bent(along)[1],
     "normal_force": lambda _, along: _size(along.normal_force),
     "friction_force": lambda _, along: _size(along.friction_force),
-    "strain": lambda body, along: 100 * np.abs(body.outer_strain(along.arc_length, _bending(along))),
-    "heading": lambda _, along: np.degrees(_heading(along)),
+    "strain": lambda body, along: 100 * np.abs(body.outer_strain(along.arc_length, _bent(along)[0])),
+    "heading": lambda _, along: np.degrees(_bent(along)[2]),
 }
 BENDING = ("twist, $x$", "bending, $y$", "bending, $z$")
 

@@ -144,9 +144,9 @@ def _axis_of(axes: Axes3D) -> Sequence[Axis]:
     return cast(Sequence[Axis], (axes.xaxis, axes.yaxis, axes.zaxis))
 
 
-def draw_in_space(axes: Axes3D, what: Drawn, norm: Normalize) -> None:
+def draw_scene(axes: Axes3D, what: Drawn, norm: Normalize) -> None:
     """Body, tendons and loads in a scene whose limits are set, with shadows on the walls."""
-    draw_body_in_space(axes, what)
+    draw_solid(axes, what)
     for path, tension in zip(what.tendons, what.tension, strict=True):
         behind, hidden = what.body.is_behind(path, sight()), what.body.is_hidden(path, sight())
         dashes = np.where(hidden, _dashed(path, tension), np.nan)
@@ -157,7 +157,7 @@ def draw_in_space(axes: Axes3D, what: Drawn, norm: Normalize) -> None:
     _draw_loads(axes, what)
 
 
-def draw_body_in_space(axes: Axes3D, what: Drawn) -> None:
+def draw_solid(axes: Axes3D, what: Drawn) -> None:
     """The body without its tendons, the numbers of the tendons, the rest shape dotted, and shadows."""
     look = {"facecolor": looks.PALE, "edgecolor": looks.PALE, "linewidth": 0.3, "zorder": 1}
     axes.add_collection3d(Poly3DCollection(shadows(axes, what.body), **look))

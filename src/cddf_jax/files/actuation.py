@@ -100,7 +100,7 @@ def _place(name: str, text: str, manipulator: Manipulator) -> TipPosition:
     rest, _, most = text.partition("=")[2].partition(" to ")
     place, _, least = rest.partition(" from ")
     value = vector(place.strip(), "length", what)
-    if len(value) != (wanted := 3 if manipulator.in_space else 2):
+    if len(value) != (wanted := manipulator.components):
         raise InputError(f"{len(value)} components given; this body needs {wanted}", where=where)
     low = quantity(least.strip(), "force", what) if least else 0.0
     high = quantity(most.strip(), "force", what) if most else None

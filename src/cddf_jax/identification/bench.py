@@ -27,8 +27,8 @@ from ..mechanics.capstan import pulling_tension
 from ..programs.kept import kept_program
 from ..progress import stage
 from ..quantities import TAKE_THE_PLANE
-from ..robot.loads import Loads, loads_in_space
-from ..robot.manipulator import Manipulator, in_space
+from ..robot.loads import Loads
+from ..robot.manipulator import Manipulator
 from ..robot.validation import check_weight
 from ..statics.equilibrium import Equilibrium
 from ..statics.solve import solve
@@ -82,17 +82,16 @@ class AllRows(eqx.Module):
         numbers = {name: np.asarray(value, float) for name, value in setting.given.items()}
         return cls(setting.loads, numbers, tuple(markers), places, offset)
 
-    def loads_with(self, tip_force: Array | None, parameters: Parameters, *, in_space: bool) -> Loads | None:
+    def loads_with(self, tip_force: Array | None, parameters: Parameters, components: int = 2) -> Loads | None:
         """All loads of a row, with gravity turned by the parameters; tip forces may have an axis of steps."""
         if self.loads is None:
             return None if tip_force is None else Loads(tip_force=tip_force)
-        loads, turn = loads_in_space(self.loads) if in_space else self.loads, turn_of(parameters, "gravity_turn")
+        loads, turn = self.loads.with_components(components), turn_of(parameters, "gravity_turn")
         if turn is not None:
             loads = replace(loads, gravity=seen(jnp.asarray(loads.gravity), jnp.zeros(3), turn))
         if tip_force is None:
             return loads
-        own = Loads(tip_force=tip_force)
-        more = loads_in_space(own).tip_force if in_space else own.tip_force
+        more = Loads(tip_force=tip_force).with_components(components).tip_force
         return replace(loads, tip_force=jnp.asarray(loads.tip_force) + jnp.asarray(more))
 
     def markers_on(self, found: Equilibrium | History) -> Float[Array, "*steps markers components"] | None:
@@ -129,11 +128,15 @@ class Bench(eqx.Module):
             return not self.course.turns
         return not any(np.any(np.asarray(stated) < 0) for stated in self.direction if stated is not None)
 
+    def components(self, manipulator: Manipulator) -> int:
+        """How many components positions have in the rows; static."""
+        loads, force = self.setting.loads, self.tip_force
+        least = 2 if loads is None else loads.components, 2 if force is None else force.shape[-1]
+        return max(manipulator.components, *least)
+
     def in_space(self, manipulator: Manipulator) -> bool:
         """Whether the rows are solved in space; static."""
-        loads, force = self.setting.loads, self.tip_force
-        pushed = force is not None and force.shape[-1] == 3
-        return manipulator.in_space or pushed or (loads is not None and loads.in_space)
+        return self.components(manipulator) == 3
 
     def check_course(self, manipulator: Manipulator) -> None:
         """Refuse markers and a body in space where the history is followed in short steps.
@@ -167,12 +170,12 @@ class Bench(eqx.Module):
         if self.course is not None:
             tension = _true_tension(parameters, self.course.path(parameters))
             of_trial = None if deviation is None else deviation[self.course.first_row]
-            loads_with = partial(self.setting.loads_with, parameters=parameters, in_space=False)
+            loads_with = partial(self.setting.loads_with, parameters=parameters)
             return self.course.trace(body, tension, loads_with, self.setting.markers_on, of_trial, nodes)
-        tension, in_space = _true_tension(parameters, jnp.asarray(self.base_tension)), self.in_space(body)
+        tension, components = _true_tension(parameters, jnp.asarray(self.base_tension)), self.components(body)
 
         def one(tension, direction, force, deviation):
-            loads = self.setting.loads_with(force, parameters, in_space=in_space)
+            loads = self.setting.loads_with(force, parameters, components)
             here = with_deviation(body, deviation)
             found = solve(here, tension, loads, direction=direction, nodes=nodes, throw=False)
             return Shown(
@@ -273,7 +276,7 @@ def _evaluate(
 ) -> Evaluation:
     flat, unravel = jax.flatten_util.ravel_pytree((parameters, jnp.zeros(len(along))))
 
-    every = columns_of(manipulator.num_tendons, bench.setting.marker_names, in_space=bench.in_space(manipulator))
+    every = columns_of(manipulator.num_tendons, bench.setting.marker_names, bench.components(manipulator))
 
     def observe(flat):
         parameters, shift = unravel(flat)
@@ -385,19 +388,19 @@ def experiment_of(
             course,
             AllRows.of(setting, found),
         )
-        _check_body(bench, manipulator)
-        if "tip_angle" in columns and bench.in_space(manipulator):
-            _check_tip_angles(table, bench, zero_is_free="angle_zero" in free)
+        _check_body(table, bench, manipulator, zero_is_free="angle_zero" in free)
         bench.check_course(manipulator)
     return bench
 
 
-def _check_body(bench: Bench, manipulator: Manipulator) -> None:
-    """Refuse a body without weight under gravity, and a body in the plane for columns or loads in space."""
+def _check_body(table: Measurements, bench: Bench, manipulator: Manipulator, *, zero_is_free: bool) -> None:
+    """Refuse a body without weight under gravity, and columns or loads that do not fit the plane or space."""
     check_weight(manipulator, bench.setting.loads)
     if bench.in_space(manipulator):
         with within("loads of three components", ValueError):
-            in_space(manipulator)
+            manipulator.with_angles()
+        if "tip_angle" in bench.columns:
+            _check_tip_angles(table, bench, zero_is_free=zero_is_free)
         return
     for column in bench.columns:
         if READINGS[kind_of(column)].in_space:

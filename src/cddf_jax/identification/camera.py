@@ -165,7 +165,7 @@ def camera_start(model: BenchModel, groups: Sequence[Group], start: Mapping[str,
     """
     names, stiffness = camera_parameters(model.manipulator), stiffness_parameter(model.manipulator)
     found: list[tuple[float, dict[str, float]]] = []
-    points = [point for point in _points(groups) if len(point.axes) == (3 if model.manipulator.in_space else 2)]
+    points = [point for point in _points(groups) if len(point.axes) == model.manipulator.components]
     for factor in FACTORS if stiffness in start else (1.0,):
         at = {**start, **dict.fromkeys(names, 0.0)}
         at |= {stiffness: factor * start[stiffness]} if stiffness in start else {}

@@ -273,7 +273,7 @@ def standard_candidates(manipulator: Manipulator, tension: float, setting: Bench
     """
     levels = tension * np.arange(1, 7) / 6
     cell, angle, place = 0.01 * tension, np.radians(1.0), 1e-3
-    axes = ("tip_x", "tip_y", "tip_z") if manipulator.in_space else ("tip_x", "tip_y")
+    axes = ("tip_x", "tip_y", "tip_z")[: manipulator.components]
     wraps = np.radians([45.0, 90.0, 135.0, 180.0, 225.0, 270.0])
     found = [
         Candidate("pulley test", {"wrap_angle": wraps, "weight": 0.1 * tension}, {"pulling_tension": cell}),

@@ -19,7 +19,7 @@ from ..measurements.markers import Marker
 from ..numerics.given_numbers import check_numbers
 from ..quantities import dimension_of
 from ..robot.loads import Loads, loads_as_dict
-from ..robot.manipulator import Manipulator, in_space as body_in_space
+from ..robot.manipulator import Manipulator
 from ..robot.profiles import shifted
 from ..units import Dimension, shown, si_unit
 from .tension_before import PARAMETER, is_past
@@ -83,7 +83,7 @@ def stiffness_parameter(manipulator: Manipulator) -> str:
 
 def camera_parameters(manipulator: Manipulator) -> tuple[str, ...]:
     """The pose of the camera: shift and turn, of six numbers in space and three in the plane."""
-    axes, turns = ("xyz", "xyz") if manipulator.in_space else ("xy", "z")
+    axes, turns = {2: ("xy", "z"), 3: ("xyz", "xyz")}[manipulator.components]
     return (*(f"{CAMERA}_{axis}" for axis in axes), *(f"{CAMERA}_turn_{axis}" for axis in turns))
 
 
@@ -133,7 +133,7 @@ def with_parameters(manipulator: Manipulator, parameters: Parameters) -> Manipul
         offsets = [shifted(tendon.offset, parameters["tendon_offset_error"]) for tendon in body.tendons]
         body = eqx.tree_at(lambda m: [tendon.offset for tendon in m.tendons], body, offsets)
     if "tendon_angle_error" in parameters:
-        body = body_in_space(body)
+        body = body.with_angles()
         error = parameters["tendon_angle_error"]
         angles = [shifted(tendon.angle, error) for tendon in body.tendons if tendon.angle is not None]
         body = eqx.tree_at(lambda m: [tendon.angle for tendon in m.tendons], body, angles)

@@ -61,11 +61,11 @@ def of_tendons(name: str, num_tendons: int) -> list[str]:
     return [name, *(f"{name}_{i}" for i in range(2, num_tendons + 1))]
 
 
-def columns_of(num_tendons: int, markers: Sequence[str] = (), *, in_space: bool = False) -> list[str]:
-    """Every column that a manipulator with these markers can show."""
+def columns_of(num_tendons: int, markers: Sequence[str] = (), components: int = 2) -> list[str]:
+    """Every column that a manipulator with these markers and components of positions can show."""
     found = []
     for name, kind in READINGS.items():
-        if in_space or not kind.in_space:
+        if components == 3 or not kind.in_space:
             own = [f"{name[-1]}@{marker}" for marker in markers]
             found += own if kind.of_marker else of_tendons(name, num_tendons if kind.per_tendon else 1)
     return found

@@ -30,6 +30,14 @@ class Fields(eqx.Module):
     normal_force: Float[Array, "tendons *points 2"]  # F_CDDN on the body, N/m, fixed frame
     friction_force: Float[Array, "tendons *points 2"]  # F_CDDF on the body, N/m, fixed frame
 
+    def bend(self) -> Float[Array, "*points"]:
+        """The curvature, 1/m, with its sign."""
+        return self.curvature
+
+    def tilt(self) -> Float[Array, "*points"]:
+        """The angle from the axis of the base to that of the cross-section, rad: the heading."""
+        return self.heading
+
 
 class SpatialFields(eqx.Module):
     """What varies along a body in space, at one or several arc lengths; per tendon first."""
@@ -49,6 +57,14 @@ class SpatialFields(eqx.Module):
     def twist(self) -> Float[Array, "*points"]:
         """The twist rate less that at rest, rad/m."""
         return self.curvature[..., 0]
+
+    def bend(self) -> Float[Array, "*points"]:
+        """The size of the curvature about y and z, 1/m."""
+        return length_of(self.curvature[..., 1:])
+
+    def tilt(self) -> Float[Array, "*points"]:
+        """The angle between the axes of cross-section and base, rad, from 0 to pi."""
+        return jnp.arctan2(length_of(self.frame[..., 1:, 0]), self.frame[..., 0, 0])
 
 
 AnyFields: TypeAlias = Fields | SpatialFields

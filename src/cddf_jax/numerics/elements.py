@@ -93,36 +93,61 @@ def totals(width: Float[Array, ""], rate: Float[Array, "p *k"]) -> tuple[Float[A
     return found[:-1], found[-1]
 
 
+@jax.custom_jvp
 def totals_of_magnitude(
     width: Float[Array, ""], rate: Float[Array, "p *k"]
 ) -> tuple[Float[Array, "p *k"], Float[Array, "*k"]]:
-    """As `totals`, of |rate|. A sub-interval in which the rate changes its sign is divided at the root.
+    """As `totals`, of |rate|. A sub-interval in which the rate changes its sign is divided at the root."""
+    return _totals_by_sign(width, rate, rate)
 
-    Roots are those of the cubic through values and slopes at the ends of the sub-interval. The integral does not change
-    with the root to first order; the last step of Newton's method gives the root its derivatives of any order.
+
+@totals_of_magnitude.defjvp
+def _(primals: tuple, tangents: tuple) -> tuple[tuple, tuple]:
+    (width, rate), (wider, change) = primals, tangents
+    found = totals_of_magnitude(width, rate)
+    moved = _totals_by_sign(width, rate, change)  # the root moves, but there the rate is zero
+    return found, jax.tree.map(lambda by_rate, total: by_rate + wider / width * total, moved, found)
+
+
+def _totals_by_sign(
+    width: Float[Array, ""], rate: Float[Array, "p *k"], values: Float[Array, "p *k"]
+) -> tuple[Float[Array, "p *k"], Float[Array, "*k"]]:
+    """As `totals`, of values times the sign of a rate, which is 1 where the rate is 0.
+
+    Roots are those of the cubic through the rate and its slopes at the ends of a sub-interval. The last step of Newton's
+    method gives the root its derivatives of any order.
     """
     rule = gauss_rule(rate.shape[0])
     step = jnp.asarray(np.diff(rule.points).reshape(-1, *[1] * (rate.ndim - 1)), rate.dtype)
-    value, slope = times(rule.at_points, rate), times(rule.slopes, rate)
-    gain = times(np.diff(rule.totals, axis=0, prepend=0.0), rate)
-    a, b, c, d = cubic = _hermite(value, slope, step)
-    crosses = value[:-1] * value[1:] < 0
-    change = jnp.where(crosses, value[1:] - value[:-1], 1.0)
+    ends = times(rule.at_points, rate)
+    left = ends < 0
+    crosses = ends[:-1] * ends[1:] < 0
+    root = _root_of_cubic(_hermite(ends, times(rule.slopes, rate), step), jnp.where(crosses, ends[1:] - ends[:-1], 1.0))
+    a, b, c, d = _hermite(times(rule.at_points, values), times(rule.slopes, values), step)
+    before = step * root * (a + root * (b / 2 + root * (c / 3 + root * d / 4)))
+    gain = times(np.diff(rule.totals, axis=0, prepend=0.0), values)
+    signed = jnp.where(crosses, 2 * before - gain, gain)
+    turned = jnp.where(crosses, left[:-1], left[:-1] | left[1:])
+    sums = times(np.tril(np.ones((len(step), len(step)))), width * jnp.where(turned, -signed, signed))
+    return sums[:-1], sums[-1]
 
-    def newton(root, cubic):
+
+def _root_of_cubic(cubic: tuple[Array, Array, Array, Array], change: Array) -> Array:
+    """The root in [0, 1] of a cubic that changes its sign, by Newton's method from the root of the chord.
+
+    `change`: the value at 1 less that at 0.
+    """
+
+    def newton(root: Array, cubic: tuple[Array, Array, Array, Array]) -> Array:
         a, b, c, d = cubic
         height, rise = a + root * (b + root * (c + root * d)), b + root * (2 * c + 3 * root * d)
         return jnp.clip(root - height / jnp.where(rise == 0, change, rise), 0.0, 1.0)
 
     still = jax.lax.stop_gradient(cubic)
-    root = jax.lax.stop_gradient(-value[:-1] / change)
+    root = jax.lax.stop_gradient(-cubic[0] / change)
     for _ in range(ROOT_STEPS):
         root = newton(root, still)
-    root = newton(root, cubic)
-    before = step * root * (a + root * (b / 2 + root * (c / 3 + root * d / 4)))
-    parts = jnp.where(crosses, _magnitude(before) + _magnitude(gain - before), _magnitude(gain))
-    sums = times(np.tril(np.ones((len(step), len(step)))), width * parts)
-    return sums[:-1], sums[-1]
+    return newton(root, cubic)
 
 
 def totals_of_length(
@@ -238,11 +263,6 @@ def _kernel(alpha: Array, beta: Array, t: Array) -> Array:
     steep = jnp.abs(y) > 1e-4
     mean = jnp.where(steep, jnp.arcsinh(y) / jnp.where(steep, y, 1.0), 1.0 - y**2 / 6)
     return t / 2 * (jnp.sqrt(alpha + beta * t**2) + jnp.sqrt(alpha) * mean)
-
-
-def _magnitude(x: Array) -> Array:
-    """|x|, with the derivative 1 at 0."""
-    return jnp.where(x < 0, -x, x)
 
 
 # --- all elements -------------------------------------------------------------------------------

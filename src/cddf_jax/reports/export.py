@@ -18,13 +18,13 @@ from ..identification.experiment_design import Plan
 from ..identification.parameters import unit_of
 from ..measurements.columns import column_dimension
 from ..measurements.table import Measurements
-from ..mechanics.fields import AnyFields, SpatialFields
+from ..mechanics.fields import AnyFields
 from ..numerics.given_numbers import check_numbers
 from ..programs.evaluated import evaluated
 from ..quantities import QUANTITIES
 from ..statics.equilibrium import Equilibrium
 from ..statics.equilibrium_text import result_in_words
-from ..sweeping.one_solve import AXES, COMPONENTS, IN_SPACE, OUTPUTS
+from ..sweeping.one_solve import AXES, COMPONENTS, OUTPUTS_OF
 from ..units import Dimension, si_unit
 
 if TYPE_CHECKING:
@@ -37,8 +37,8 @@ OF_STEPS = (  # columns of a history
     *("num_turns", "error_estimate"),
 )
 ENERGIES = ("work", "friction_loss", "stored_energy")
-ALONG = ("heading", "curvature", "tension", "normal_force", "friction_force")  # columns of tables
-ALONG_IN_SPACE = ("frame", "curvature", "twist", "tension", "normal_force", "friction_force", "path")
+# columns of tables: a body in the plane has a heading, one in space has frame, twist and path
+ALONG = ("heading", "frame", "curvature", "twist", "tension", "normal_force", "friction_force", "path")
 
 
 def as_dataset(equilibrium: Equilibrium, arc_length: ArrayLike | Sequence[float] | None = None) -> "xarray.Dataset":
@@ -59,8 +59,8 @@ def as_dataset(equilibrium: Equilibrium, arc_length: ArrayLike | Sequence[float]
         raise InputError("as_dataset: needs an equilibrium, got a history; `as_frame` tables its steps")
     s = _stations(equilibrium, arc_length)
     fields = evaluated(Equilibrium.at, equilibrium, s)
-    data, in_space = {}, equilibrium.tip_frame is not None
-    for name, own in (IN_SPACE if in_space else OUTPUTS).items():
+    data, components = {}, len(equilibrium.tip_position)
+    for name, own in OUTPUTS_OF[components].items():
         if name == "arc_length" or (name.startswith("peak_strain") and not equilibrium.has_wall):
             continue
         values = getattr(fields, name) if "point" in own else getattr(equilibrium, name)
@@ -71,9 +71,12 @@ def as_dataset(equilibrium: Equilibrium, arc_length: ArrayLike | Sequence[float]
     coords = {
         "arc_length": ("arc_length", s, {"long_name": "arc length", "units": "m"}),
         "tendon": ("tendon", np.arange(len(equilibrium.base_tension)), {"long_name": "place among the tendons"}),
-        "component": ("component", np.array(COMPONENTS if in_space else COMPONENTS[:2])),
-    } | ({"axis": ("axis", np.array(AXES))} if in_space else {})
-    return xarray.Dataset(data, coords, {"result": result_in_words(equilibrium) or "successful"})
+        "component": ("component", np.array(COMPONENTS[:components])),
+        "axis": ("axis", np.array(AXES)),
+    }
+    used = {dim for dims, *_ in data.values() for dim in dims}
+    words = {"result": result_in_words(equilibrium) or "successful"}
+    return xarray.Dataset(data, {name: coord for name, coord in coords.items() if name in used}, words)
 
 
 def as_frame(what: Equilibrium | History | Determination | Measurements | Plan) -> "pandas.DataFrame":
@@ -133,10 +136,10 @@ def field_columns(fields: AnyFields) -> dict[str, np.ndarray]:
 
     Tendons count from 1. In space curvature_x is the twist, and frame_x_y the first component of the axis y.
     """
-    known, names = (IN_SPACE, ALONG_IN_SPACE) if isinstance(fields, SpatialFields) else (OUTPUTS, ALONG)
+    known = OUTPUTS_OF[fields.position.shape[-1]]
     columns = {"arc_length [m]": np.asarray(fields.arc_length)}
     columns |= {f"{axis} [m]": own for axis, own in zip(AXES, np.asarray(fields.position).T, strict=False)}
-    for name in names:
+    for name in filter(known.__contains__, ALONG):
         values, own = np.asarray(getattr(fields, name)), [dim for dim in known[name] if dim != "point"]
         values, unit = np.moveaxis(values, known[name].index("point"), -1), QUANTITIES[name].unit
         for place in np.ndindex(values.shape[:-1]):

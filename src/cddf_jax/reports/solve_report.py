@@ -7,13 +7,13 @@ from jaxtyping import ArrayLike
 
 from ..files.writing import picked
 from ..quantities import dimension_of
-from ..robot.loads import Loads, loads_as_dict, loads_in_space
+from ..robot.loads import Loads, loads_as_dict
 from ..statics.contact import self_contact
 from ..statics.equilibrium import Equilibrium
 from ..statics.equilibrium_text import last_lines, strain_line, tendon_lines, tip_line
 from ..statics.status import Status, in_words
 from ..statics.targets import CurvatureAt, Target, TipPosition
-from ..sweeping.one_solve import IN_SPACE, OUTPUTS
+from ..sweeping.one_solve import OUTPUTS_OF
 from ..units import shown
 
 Entries = Sequence[float | Target] | TipPosition  # the tension (N) or target of each tendon, or the place of the tip
@@ -30,7 +30,7 @@ def solve_as_dict(equilibrium: Equilibrium, actuation: Entries, loads: Loads | N
     if loads is not None:
         answer["loads"] = loads_as_dict(loads)
     answer["self_contact"] = self_contact(equilibrium)
-    every = IN_SPACE if equilibrium.in_space else OUTPUTS
+    every = OUTPUTS_OF[len(equilibrium.tip_position)]
     known = [name for name in every if equilibrium.has_wall or not name.startswith("peak_strain")]
     return answer | dict.fromkeys(every) | picked(equilibrium, known)
 
@@ -58,7 +58,7 @@ def solve_in_words(equilibrium: Equilibrium, actuation: Entries, texts: Sequence
 
 
 def _loads_in_words(loads: Loads, equilibrium: Equilibrium) -> list[str]:
-    loads = loads_in_space(loads) if equilibrium.in_space else loads
+    loads = loads.with_components(len(equilibrium.tip_position))
     force, gravity = (_numbers(vector) for vector in (loads.tip_force, loads.gravity))
     steps = int(equilibrium.num_load_steps)
     return [

@@ -45,11 +45,21 @@ class Loads(eqx.Module):
                 raise ValueError(f"Loads: {name} must have two or three components (X, Y, Z), got shape {shape}")
 
     @property
-    def in_space(self) -> bool:
-        """Whether one of them has three components; static."""
+    def components(self) -> int:
+        """How many components they have: three where one of them has three, else two; static."""
         vectors = [np.shape(self.tip_force), np.shape(self.gravity)]
         along_path = any(len(shape) > 1 for shape in vectors)  # then (3,) are the moments of three steps in the plane
-        return any(shape[-1] == 3 for shape in vectors) or (np.shape(self.tip_moment) == (3,) and not along_path)
+        turned = 3 if np.shape(self.tip_moment) == (3,) and not along_path else 2
+        return max(turned, *(shape[-1] for shape in vectors))
+
+    @property
+    def in_space(self) -> bool:
+        """Whether one of them has three components; static."""
+        return self.components == 3
+
+    def with_components(self, count: int) -> "Loads":
+        """The same loads with three components each for a count of 3; for 2 they stay as they are."""
+        return loads_in_space(self) if count == 3 else self
 
 
 def loads_as_dict(loads: Loads) -> dict[str, object]:

@@ -248,6 +248,11 @@ class Manipulator(eqx.Module):
         return turned or self.extensible or self.rest_curvature is not None
 
     @property
+    def components(self) -> int:
+        """How many components its positions have: two in the plane, three in space; static."""
+        return 3 if self.in_space else 2
+
+    @property
     def slanted(self) -> bool:
         """Whether any tendon may change its distance from the neutral axis, or wind around it."""
         places = [place for tendon in self.tendons for place in (tendon.offset, tendon.angle) if place is not None]
@@ -423,6 +428,14 @@ class Manipulator(eqx.Module):
         drag = self.tendon_drag
         return drag if drag is None or present is None else jnp.where(present, drag, 0.0)
 
+    def with_angles(self) -> "Manipulator":
+        """The same body in space: all tendons have an angle, 0 and pi in the place of the sides +1 and -1."""
+        if all(tendon.angle is not None for tendon in self.tendons):
+            return self
+        angles = {+1: 0.0, -1: np.pi}
+        tendons = [t if t.angle is not None else replace(t, side=1, angle=angles[t.side]) for t in self.tendons]
+        return replace(self, tendons=tuple(tendons))
+
     def validate(self, *, offsets_outside_wall: bool = False) -> "Manipulator":
         """Check on the host that the numbers describe a body; return the manipulator itself.
 
@@ -439,13 +452,7 @@ class Manipulator(eqx.Module):
         return self
 
 
-def in_space(manipulator: Manipulator) -> Manipulator:
-    """The same body, whose tendons all have an angle: 0 and pi in the place of the sides +1 and -1."""
-    if all(tendon.angle is not None for tendon in manipulator.tendons):
-        return manipulator
-    angles = {+1: 0.0, -1: np.pi}
-    tendons = [t if t.angle is not None else replace(t, side=1, angle=angles[t.side]) for t in manipulator.tendons]
-    return replace(manipulator, tendons=tuple(tendons))
+in_space = Manipulator.with_angles  # as the solver calls it
 
 
 def conical(

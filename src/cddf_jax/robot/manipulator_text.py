@@ -28,12 +28,13 @@ def manipulator_in_words(manipulator: Manipulator) -> str:
     if any(np.ndim(number) for number in (manipulator.length, manipulator.friction_coefficient)):
         raise TypeError("a batch has no words")
     length = float(manipulator.length)
-    varies, known = callable(manipulator.youngs_modulus), _MATERIAL
+    varies, known, kind = callable(manipulator.youngs_modulus), _MATERIAL, f"{manipulator.kinematics} kinematics"
     if manipulator.in_space:
         known = (*known[:2], "axial_factor", "shear_factor", "poissons_ratio", *known[2:])
+        kind = "in space, its axis stretches and shears" if manipulator.extensible else "in space"
     return "\n".join(
         [
-            _first_line(manipulator, length),
+            f"Manipulator of {shown(length, 'length')}, {kind}",
             *(
                 f"{name} {_profile(as_profile(getattr(manipulator, name)), length, dimension_of(name))}"
                 for name in _PROFILES
@@ -51,12 +52,6 @@ def manipulator_in_words(manipulator: Manipulator) -> str:
             *(f"tendon {i}: {_tendon(tendon, length)}" for i, tendon in enumerate(manipulator.tendons, 1)),
         ]
     )
-
-
-def _first_line(manipulator: Manipulator, length: float) -> str:
-    stretches = ", its axis stretches and shears" if manipulator.extensible else ""
-    kind = f"in space{stretches}" if manipulator.in_space else f"{manipulator.kinematics} kinematics"
-    return f"Manipulator of {shown(length, 'length')}, {kind}"
 
 
 def _numbers(owner: Manipulator | Tendon, names: Sequence[str]) -> list[str]:

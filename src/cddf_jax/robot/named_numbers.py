@@ -44,9 +44,14 @@ class Case(eqx.Module):
     direction: Any  # numbers, or one entry per tendon, None for one to be found
 
     @property
+    def components(self) -> int:
+        """How many components positions have; static."""
+        return max(self.manipulator.components, 2 if self.loads is None else self.loads.components)
+
+    @property
     def in_space(self) -> bool:
         """Whether body or loads leave the plane; static."""
-        return self.manipulator.in_space or (self.loads is not None and self.loads.in_space)
+        return self.components == 3
 
     def number(self, name: str) -> Any:
         """The number of a name.

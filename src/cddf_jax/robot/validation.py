@@ -13,7 +13,7 @@ from ..errors import InputError
 from ..programs.evaluated import evaluated
 from ..quantities import QUANTITIES
 from .loads import Loads
-from .manipulator import Manipulator, PointMass, Tendon, in_space
+from .manipulator import Manipulator, PointMass, Tendon
 from .profiles import Number, Piecewise, Polyline, Profile, Spline, breakpoints
 
 _SLACK = 1e-6  # of the length: finer than any workshop, coarser than the rounding of float32
@@ -229,7 +229,7 @@ def _check_apart(manipulator: Manipulator, s: np.ndarray) -> None:
     on_a_side = [tendon.angle is None for tendon in manipulator.tendons]
     if all(on_a_side):
         return
-    for (i, one), (j, other) in combinations(enumerate(in_space(manipulator).tendons, 1), 2):
+    for (i, one), (j, other) in combinations(enumerate(manipulator.with_angles().tendons, 1), 2):
         if on_a_side[i - 1] and on_a_side[j - 1]:
             continue
         assert one.angle is not None

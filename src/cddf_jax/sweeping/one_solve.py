@@ -64,22 +64,17 @@ IN_SPACE: dict[str, tuple[str, ...]] = {
     "frame": ("point", "component", "axis"),
     "path": ("tendon", "point", "component"),
 }
-# outputs of a `History`, and their dimensions besides those of the sweep
-OF_HISTORY: dict[str, tuple[str, ...]] = {
-    **{name: OUTPUTS[name] for name in ("tip_position", "tip_angle", "tip_tension", "tendon_displacement")},
-    **{name: OUTPUTS[name] for name in ("direction", "error_estimate")},
-    "front": ("tendon",),
-    "num_turns": (),
-    "work": (),
-    "friction_loss": (),
-    "stored_energy": (),
-    **{name: dims for name, dims in OUTPUTS.items() if "point" in dims},
-}
-# the same in space
-OF_HISTORY_IN_SPACE: dict[str, tuple[str, ...]] = {
-    **{name: dims for name, dims in OF_HISTORY.items() if "point" not in dims},
-    "tip_frame": IN_SPACE["tip_frame"],
-    **{name: dims for name, dims in IN_SPACE.items() if "point" in dims},
+OUTPUTS_OF = {2: OUTPUTS, 3: IN_SPACE}  # by the number of components of a position
+# outputs of a `History` by that number, and their dimensions besides those of the sweep
+OF_HISTORY: dict[int, dict[str, tuple[str, ...]]] = {
+    components: {
+        **{name: known[name] for name in ("tip_position", "tip_angle", "tip_tension", "tendon_displacement")},
+        **{name: known[name] for name in ("direction", "error_estimate")},
+        **{"front": ("tendon",), "num_turns": (), "work": (), "friction_loss": (), "stored_energy": ()},
+        **{name: dims for name, dims in known.items() if name == "tip_frame"},
+        **{name: dims for name, dims in known.items() if "point" in dims},
+    }
+    for components, known in OUTPUTS_OF.items()
 }
 
 
@@ -202,7 +197,7 @@ def _along(case: Case, path: dict[str, Float[Array, " steps"]]) -> tuple[Array, 
 
 def _after_each_step(history: History, name: str) -> Array:
     """An output, step first, then its own dimensions."""
-    dims = (OF_HISTORY if history.tip_frame is None else OF_HISTORY_IN_SPACE)[name]
+    dims = OF_HISTORY[history.tip_position.shape[-1]][name]
     if "point" in dims:
         return getattr(history.equilibria, name)
     values = getattr(history, name)

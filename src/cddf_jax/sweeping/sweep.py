@@ -22,7 +22,7 @@ from ..mechanics.directions import as_directions, stated_directions
 from ..mechanics.march import FixedPoint
 from ..mechanics.problem import Method
 from ..programs.kept import shapes_of
-from ..robot.loads import Loads, loads_in_space
+from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..robot.named_numbers import Case, holds, of_tendon
 from ..statics.equilibrium import Equilibrium
@@ -159,8 +159,8 @@ class Sweep:
         loads = self.loads
         if loads is None and any(name.startswith("loads.") for name in names):
             loads = Loads()
-        if loads is not None and (self.manipulator.in_space or any(map(_OF_SPACE.fullmatch, names))):
-            loads = loads_in_space(loads)
+        if loads is not None:
+            loads = loads.with_components(3 if any(map(_OF_SPACE.fullmatch, names)) else self.manipulator.components)
         tension, count = self.base_tension, self.manipulator.num_tendons
         own = [of_tendon("base_tension", i) for i in range(count)]
         if tension is None and not set(own).isdisjoint(names):
@@ -180,12 +180,10 @@ class Sweep:
     @property
     def known_outputs(self) -> Mapping[str, tuple[str, ...]]:
         """All possible outputs, and their dimensions besides those of the sweep."""
+        of_history, of_one_tendon = one_solve.OF_HISTORY, "num_turns"
         if self.in_short_steps:
-            of_one_tendon = "num_turns"
-            return {name: dims for name, dims in one_solve.OF_HISTORY.items() if name != of_one_tendon}
-        if self.history:
-            return one_solve.OF_HISTORY_IN_SPACE if self.case.in_space else one_solve.OF_HISTORY
-        return one_solve.IN_SPACE if self.case.in_space else one_solve.OUTPUTS
+            return {name: dims for name, dims in of_history[2].items() if name != of_one_tendon}
+        return (of_history if self.history else one_solve.OUTPUTS_OF)[self.case.components]
 
     @cached_property
     def dtype(self) -> np.dtype:
