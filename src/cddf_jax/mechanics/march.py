@@ -23,6 +23,7 @@ from ..numerics.rotations import about, direction_of, parts_of, product, sum_of,
 from ..robot.cross_section import AnySection, spatial, where_present
 from . import space
 from .friction import PerTendon, Pull, is_proportional, ratio_beyond, ratio_factor, spent_rate
+from .kinks import Tensions, reversing, tensions_along
 from .problem import (
     Joints,
     Nodal,
@@ -36,7 +37,6 @@ from .problem import (
     strain_of,
     unbent,
 )
-from .slack import Tensions, tensions_along
 
 JOINT_STEPS = 6  # of the fixed point of r beyond a joint: r changes the angle there by mu d d' kappa only
 LAST_GAIN = 64.0  # times the tolerance: with a larger change the iteration goes on, also where it converges fast
@@ -102,11 +102,11 @@ def _at_base(problem: Problem, whole: bool) -> State:
 
 def _along_element(problem: Problem, start: State, part: Part) -> tuple[State, State, Array]:
     """The states at the nodes and at the end of an element, and the elastic strain at the nodes."""
-    spending = spent_rate(problem.direction, part.section, part.guess.ratio)
-    spent = _onwards(start.pull.spent, part.width, spending)
-    at = part.section, problem.base_tension, start.pull, Pull(part.guess.ratio, spent[0]), part.width, spending
-    tensions = tensions_along(*at)
-    strains = [_strain(problem, part, tension) for tension in tensions.parts]
+    spent = _onwards(start.pull.spent, part.width, spent_rate(problem.direction, part.section, part.guess.ratio))
+    tensions = tensions_along(part.section, problem.base_tension, Pull(part.guess.ratio, spent[0]))
+    if problem.turns_over:
+        tensions = _reversing(problem, start, part, tensions)
+    strains = [_strain(problem, part, tension) for tension in tensions.branches]
     heading, axis, moment_rate = _headings(problem, start, part, tensions, strains)
     growth, wrap = _turned(problem, start, part, tensions, strains, moment_rate)
     moment = _onwards(
@@ -136,6 +136,13 @@ def _strain(problem: Problem, part: Part, tension: Array) -> Array:
     return jax.vmap(problem.geometry.strain)(part.section, tension, *acting)
 
 
+def _growth(problem: Problem, part: Part, strain: Array, tension: Array, moment_rate: Array | None) -> Array:
+    """The signed r' over the direction, 1/m, at the nodes of an element; in space a vector."""
+    geometry = problem.geometry
+    turning = geometry.turning(part.width, part.section, strain, tension, problem.direction, moment_rate)
+    return geometry.scaled(turning, ratio_factor(part.section, part.guess.ratio))
+
+
 def _headings(
     problem: Problem, start: State, part: Part, tensions: Tensions, strains: list[Array]
 ) -> tuple[Both, Array | None, Array | None]:
@@ -149,14 +156,22 @@ def _headings(
     return heading, axis, None if problem.loads is None else geometry.moment_rate(axis, part.force)
 
 
+def _reversing(problem: Problem, start: State, part: Part, tensions: Tensions) -> Tensions:
+    """The tensions along an element with the kink where a tendon turns over."""
+    strain = _strain(problem, part, tensions.branches[0])
+    moment_rate = _headings(problem, start, part, tensions, [strain])[2]
+    growth = part.width * _growth(problem, part, strain, tensions.branches[0], moment_rate)
+    return reversing(part.section, problem.base_tension, part.guess.ratio, problem.direction, growth)
+
+
 def _turned(
     problem: Problem, start: State, part: Part, tensions: Tensions, strains: list[Array], moment_rate: Array | None
 ) -> tuple[tuple[Array, Array], Both]:
     """The gains of r, over the direction, and the wrap angle where it is asked for."""
-    geometry, direction = problem.geometry, problem.direction
+    geometry = problem.geometry
     integrate, size = partial(geometry.totals_of_turning, reverses=problem.reverses), geometry.size
-    given = zip(strains, tensions.parts, strict=True)
-    turning = [geometry.turning(part.width, part.section, *each, direction, moment_rate) for each in given]
+    given = zip(strains, tensions.branches, strict=True)
+    turning = [geometry.turning(part.width, part.section, *each, problem.direction, moment_rate) for each in given]
     factor = ratio_factor(part.section, part.guess.ratio)
     growth = tensions.totals(part.width, [geometry.scaled(each, factor) for each in turning], integrate, size)
     if start.wrap_angle is None:

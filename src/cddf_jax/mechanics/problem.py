@@ -86,6 +86,11 @@ class Problem(eqx.Module):
         return self.geometry.reverses(self.manipulator, self.loads is not None)
 
     @property
+    def turns_over(self) -> bool:
+        """Whether the tension may have a kink where a tendon turns over; static. With drag only the wrap angle has."""
+        return self.reverses and not self.geometry.has_frames and self.manipulator.tendon_drag is None
+
+    @property
     def is_quadrature(self) -> bool:
         """Whether theta' r, and with it r', is the same for every r; static.
 

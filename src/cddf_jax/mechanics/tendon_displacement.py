@@ -2,13 +2,12 @@
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
 
 from ..robot.cross_section import AnySection
 from .bending import stretch_rate
-from .friction import PerTendon, Pull, spent_rate
+from .friction import PerTendon
+from .kinks import tensions_along
 from .problem import Number, Problem, State
-from .slack import tensions_along
 
 
 def tendon_displacement(problem: Problem, state: State) -> PerTendon:
@@ -18,20 +17,15 @@ def tendon_displacement(problem: Problem, state: State) -> PerTendon:
         problem: the body.
         state: at its nodes.
     """
-    body, cut, geometry = problem.manipulator, problem.elements, problem.geometry
-    spending = spent_rate(problem.direction, problem.nodes, state.ratio)
-    spent = None if spending is None else cut.integrate(spending)[0][:-1]
+    body, geometry = problem.manipulator, problem.geometry
 
-    def gain(
-        width: Number, section: AnySection, state: State, spending: Array | None, spent: Array | None
-    ) -> PerTendon:
-        start = Pull(jnp.ones_like(state.ratio[0]), spent)
-        tensions = tensions_along(section, problem.base_tension, start, state.pull, width, spending)
+    def gain(width: Number, section: AnySection, state: State) -> PerTendon:
+        tensions = tensions_along(section, problem.base_tension, state.pull)
         at = state.heading, state.moment, state.force, state.strain
-        strains = [jax.vmap(geometry.strain)(section, tension, *at) for tension in tensions.parts]
+        strains = [jax.vmap(geometry.strain)(section, tension, *at) for tension in tensions.branches]
         slip = jax.vmap(geometry.slip_rate, (0, 0, 0, None))
-        rates = [slip(section, *each, body.tendon_compliance) for each in zip(strains, tensions.parts, strict=True)]
+        rates = [slip(section, *each, body.tendon_compliance) for each in zip(strains, tensions.branches, strict=True)]
         return tensions.totals(width, rates)[1]
 
     outside = stretch_rate(body.tendon_compliance, problem.base_tension) * body.tendon_free_length
-    return jnp.sum(jax.vmap(gain)(cut.width, problem.nodes, state, spending, spent), axis=0) + outside
+    return jnp.sum(jax.vmap(gain)(problem.elements.width, problem.nodes, state), axis=0) + outside

@@ -16,14 +16,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 from numpy.polynomial import legendre
 
 from .rotations import length_of, square_root
 
 Tree = TypeVar("Tree")
 LARGEST_ORDER = 16  # Gauss nodes in one element
-ROOT_STEPS = 3  # of Newton's method, from the root of the straight line between two nodes
+ROOT_STEPS = 1  # of Newton's method, from the root of the straight line between two nodes
 POINTS_BETWEEN = 4  # Gauss points in a part of a sub-interval
 
 
@@ -114,8 +114,7 @@ def _totals_by_sign(
 ) -> tuple[Float[Array, "p *k"], Float[Array, "*k"]]:
     """As `totals`, of values times the sign of a rate, which is 1 where the rate is 0.
 
-    Roots are those of the cubic through the rate and its slopes at the ends of a sub-interval. The last step of Newton's
-    method gives the root its derivatives of any order.
+    Roots are those of the cubic through the rate and its slopes at the ends of a sub-interval.
     """
     rule = gauss_rule(rate.shape[0])
     step = jnp.asarray(np.diff(rule.points).reshape(-1, *[1] * (rate.ndim - 1)), rate.dtype)
@@ -132,8 +131,34 @@ def _totals_by_sign(
     return sums[:-1], sums[-1]
 
 
+class Root(NamedTuple):
+    """The first root of each function in an element."""
+
+    exists: Bool[Array, "*k"]
+    place: Float[Array, "*k"]  # in [0, 1]; 1 where there is none
+    total: Float[Array, "*k"]  # the integral up to there, over an element of width 1
+
+
+def first_root(values: Float[Array, "p *k"]) -> Root:
+    """The first change of sign of functions, with derivatives of any order."""
+    rule = gauss_rule(values.shape[0])
+    points = jnp.asarray(rule.points.reshape(-1, *[1] * (values.ndim - 1)), values.dtype)
+    step, ends = jnp.diff(points, axis=0), times(rule.at_points, values)
+    crosses = ends[:-1] * ends[1:] < 0
+    first = crosses & (times(np.tril(np.ones((len(step), len(step)))), crosses.astype(values.dtype)) < 1.5)
+    a, b, c, d = cubic = _hermite(ends, times(rule.slopes, values), step)
+    root = _root_of_cubic(cubic, jnp.where(crosses, ends[1:] - ends[:-1], 1.0))
+    before = times(rule.totals, values) - times(np.diff(rule.totals, axis=0, prepend=0.0), values)
+    total = before + step * root * (a + root * (b / 2 + root * (c / 3 + root * d / 4)))
+    exists = jnp.any(first, axis=0)
+    place = jnp.where(exists, jnp.sum(jnp.where(first, points[:-1] + step * root, 0.0), axis=0), 1.0)
+    return Root(exists, place, jnp.sum(jnp.where(first, total, 0.0), axis=0))
+
+
 def _root_of_cubic(cubic: tuple[Array, Array, Array, Array], change: Array) -> Array:
     """The root in [0, 1] of a cubic that changes its sign, by Newton's method from the root of the chord.
+
+    The last step gives it derivatives of any order.
 
     `change`: the value at 1 less that at 0.
     """
