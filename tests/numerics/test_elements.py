@@ -8,7 +8,15 @@ from numpy.polynomial import Polynomial
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
 
-from cddf_jax.numerics.elements import Elements, elements_between, joints, totals, totals_of_length, totals_of_magnitude
+from cddf_jax.numerics.elements import (
+    Elements,
+    elements_between,
+    gains_of_length,
+    gains_of_magnitude,
+    joints,
+    sums,
+    totals,
+)
 
 CUT = Elements.between(jnp.array([0.0, 0.3, 0.3, 1.0]), 6)  # the one in the middle is empty
 CURVE = Polynomial([0.3, -2.0, 1.0, 4.0, -1.0, 0.5])  # of degree 5, exact on 6 nodes
@@ -59,7 +67,7 @@ def test_the_magnitude_of_a_rate_with_one_root(root):
     def rate(x):
         return np.sin(7 * (x - root))
 
-    nodes, end = totals_of_magnitude(ONE.width[0], rate(ONE.nodes[0]))
+    nodes, end = sums(ONE.width[0], gains_of_magnitude(rate(ONE.nodes[0])))
     assert_allclose([*nodes, end], integrals(lambda x: abs(rate(x)), root), atol=2e-10)
 
 
@@ -67,14 +75,14 @@ def test_the_magnitude_of_a_rate_with_two_roots():
     def rate(x):
         return (x - 0.05) * (x - 0.13) * np.exp(x)
 
-    nodes, end = totals_of_magnitude(ONE.width[0], rate(ONE.nodes[0]))
+    nodes, end = sums(ONE.width[0], gains_of_magnitude(rate(ONE.nodes[0])))
     assert_allclose([*nodes, end], integrals(lambda x: abs(rate(x)), 0.05, 0.13), atol=1e-9)
 
 
 def test_the_magnitude_of_a_rate_of_one_sign_is_the_integral():
     rates = jnp.stack([jnp.exp(ONE.nodes[0]), -jnp.cos(ONE.nodes[0])], axis=-1)
     for found, expected in zip(
-        totals_of_magnitude(ONE.width[0], rates), totals(ONE.width[0], jnp.abs(rates)), strict=True
+        sums(ONE.width[0], gains_of_magnitude(rates)), totals(ONE.width[0], jnp.abs(rates)), strict=True
     ):
         assert_allclose(found, expected, rtol=1e-14)
 
@@ -83,7 +91,7 @@ def test_derivatives_of_the_magnitude_by_the_root():
     """The integral of |x - a| over [0, w] is (a^2 + (w - a)^2) / 2: slope 2 a - w and curvature 2."""
 
     def total(a):
-        return totals_of_magnitude(ONE.width[0], ONE.nodes[0] - a)[1]
+        return sums(ONE.width[0], gains_of_magnitude(ONE.nodes[0] - a))[1]
 
     assert_allclose(jax.grad(total)(0.07), 2 * 0.07 - 0.2, rtol=1e-12)
     assert_allclose(jax.jacfwd(jax.grad(total))(0.07), 2.0, rtol=1e-12)
@@ -97,7 +105,7 @@ def test_the_length_of_a_vector_that_passes_near_zero(distance, place):
     def vector(x):
         return np.stack([0.1 * distance * np.cos(x), np.sin(3 * (x - place)), (x - place) ** 2], axis=-1)
 
-    nodes, end = totals_of_length(ONE.width[0], vector(ONE.nodes[0]))
+    nodes, end = sums(ONE.width[0], gains_of_length(vector(ONE.nodes[0])))
     assert_allclose([*nodes, end], integrals(lambda x: np.linalg.norm(vector(x)), place), atol=2e-10)
 
 
@@ -106,7 +114,7 @@ def test_derivatives_of_the_length_of_a_vector():
 
     def total(a):
         vectors = jnp.stack([jnp.full(8, a), ONE.nodes[0], jnp.zeros(8)], axis=-1)
-        return totals_of_length(ONE.width[0], vectors)[1]
+        return sums(ONE.width[0], gains_of_length(vectors))[1]
 
     for a in (0.3, 0.02):
         assert_allclose(jax.grad(total)(a), a * np.arcsinh(0.2 / a), rtol=1e-6)

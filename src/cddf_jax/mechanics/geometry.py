@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..numerics.arrays import cos_sin, largest_size
-from ..numerics.elements import slope_in_element, totals, totals_of_length, totals_of_magnitude
+from ..numerics.elements import gains_of_length, gains_of_magnitude, slope_in_element
 from ..numerics.rotations import (
     IDENTITY,
     as_matrix,
@@ -32,7 +32,6 @@ from . import bending, space
 from .friction import PerTendon
 
 Number = Float[Array, ""]
-Totals = tuple[Float[Array, "p *k"], Float[Array, "*k"]]  # integrals to the nodes of an element, and over it
 
 
 class Plane:
@@ -125,9 +124,9 @@ class Plane:
         """|psi'|."""
         return jnp.abs(turning)
 
-    def totals_of_turning(self, width: Number, turning: Array, reverses: bool) -> Totals:
-        """The integral of |psi'| over an element."""
-        return totals_of_magnitude(width, turning) if reverses else totals(width, jnp.abs(turning))
+    def gains(self, turning: Array) -> Array:
+        """The integral of |psi'|, which changes its sign, over the sub-intervals of an element of width 1."""
+        return gains_of_magnitude(turning)
 
     def pointing(self, section: AnySection, strain: Array) -> Array:
         """Where the tendons point in the frame of the cross-section: angles alpha, rad."""
@@ -259,8 +258,8 @@ class Space:
     def size(self, turning: Array) -> Array:
         return length_of(turning)
 
-    def totals_of_turning(self, width: Number, turning: Array, reverses: bool) -> Totals:
-        return totals_of_length(width, turning) if reverses else totals(width, length_of(turning))
+    def gains(self, turning: Array) -> Array:
+        return gains_of_length(turning)
 
     def pointing(self, section: AnySection, strain: Array) -> Array:
         """Unit tangents."""

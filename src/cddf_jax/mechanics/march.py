@@ -103,10 +103,10 @@ def _at_base(problem: Problem, whole: bool) -> State:
 def _along_element(problem: Problem, start: State, part: Part) -> tuple[State, State, Array]:
     """The states at the nodes and at the end of an element, and the elastic strain at the nodes."""
     spent = _onwards(start.pull.spent, part.width, spent_rate(problem.direction, part.section, part.guess.ratio))
-    tensions = tensions_along(part.section, problem.base_tension, Pull(part.guess.ratio, spent[0]))
+    tensions = tensions_along(part.section, problem.base_tension, Pull(part.guess.ratio, spent[0]), problem.rough)
     if problem.turns_over:
         tensions = _reversing(problem, start, part, tensions)
-    strains = [_strain(problem, part, tension) for tension in tensions.branches]
+    strains = _strains(problem, part, tensions)
     heading, axis, moment_rate = _headings(problem, start, part, tensions, strains)
     growth, wrap = _turned(problem, start, part, tensions, strains, moment_rate)
     moment = _onwards(
@@ -130,54 +130,57 @@ def _onwards(start: Array | None, width: Number, rate: Array | None) -> Both:
     return start + nodes, start + end
 
 
-def _strain(problem: Problem, part: Part, tension: Array) -> Array:
-    """The strain at the nodes of an element."""
+def _strains(problem: Problem, part: Part, tensions: Tensions) -> Float[Array, "branches p *strains"]:
+    """The strain at the nodes of an element, on each branch."""
     acting = part.guess.frame, _moments(problem, part.guess), part.force, part.strain
-    return jax.vmap(problem.geometry.strain)(part.section, tension, *acting)
-
-
-def _growth(problem: Problem, part: Part, strain: Array, tension: Array, moment_rate: Array | None) -> Array:
-    """The signed r' over the direction, 1/m, at the nodes of an element; in space a vector."""
-    geometry = problem.geometry
-    turning = geometry.turning(part.width, part.section, strain, tension, problem.direction, moment_rate)
-    return geometry.scaled(turning, ratio_factor(part.section, part.guess.ratio))
+    strain = jax.vmap(jax.vmap(problem.geometry.strain), (None, 0, None, None, None, None))
+    return strain(part.section, tensions.branches, *acting)
 
 
 def _headings(
-    problem: Problem, start: State, part: Part, tensions: Tensions, strains: list[Array]
+    problem: Problem, start: State, part: Part, tensions: Tensions, strains: Array
 ) -> tuple[Both, Array | None, Array | None]:
     """The headings of an element; the axis t and M_ext' at its nodes, which follow from the new headings."""
     if start.heading is None:
         return (None, None), None, None
     geometry = problem.geometry
-    nodes, end = tensions.totals(part.width, [geometry.heading_rate(part.guess.frame, strain) for strain in strains])
+    nodes, end = tensions.totals(part.width, jax.vmap(partial(geometry.heading_rate, part.guess.frame))(strains))
     heading = start.heading + nodes, start.heading + end
     axis = geometry.axis(heading[0], tensions.at_nodes(strains))
     return heading, axis, None if problem.loads is None else geometry.moment_rate(axis, part.force)
 
 
+def _turning(problem: Problem, part: Part, tensions: Tensions, strains: Array, moment_rate: Array | None) -> Array:
+    """The turning of the tendons at the nodes of an element, on each branch."""
+
+    def on_branch(strain: Array, tension: Array) -> Array:
+        return problem.geometry.turning(part.width, part.section, strain, tension, problem.direction, moment_rate)
+
+    return jax.vmap(on_branch)(strains, tensions.branches)
+
+
 def _reversing(problem: Problem, start: State, part: Part, tensions: Tensions) -> Tensions:
     """The tensions along an element with the kink where a tendon turns over."""
-    strain = _strain(problem, part, tensions.branches[0])
-    moment_rate = _headings(problem, start, part, tensions, [strain])[2]
-    growth = part.width * _growth(problem, part, strain, tensions.branches[0], moment_rate)
+    strains = _strains(problem, part, tensions)
+    moment_rate = _headings(problem, start, part, tensions, strains)[2]
+    turning = _turning(problem, part, tensions, strains, moment_rate)[0]
+    growth = part.width * ratio_factor(part.section, part.guess.ratio) * turning
     return reversing(part.section, problem.base_tension, part.guess.ratio, problem.direction, growth)
 
 
 def _turned(
-    problem: Problem, start: State, part: Part, tensions: Tensions, strains: list[Array], moment_rate: Array | None
+    problem: Problem, start: State, part: Part, tensions: Tensions, strains: Array, moment_rate: Array | None
 ) -> tuple[tuple[Array, Array], Both]:
     """The gains of r, over the direction, and the wrap angle where it is asked for."""
-    geometry = problem.geometry
-    integrate, size = partial(geometry.totals_of_turning, reverses=problem.reverses), geometry.size
-    given = zip(strains, tensions.branches, strict=True)
-    turning = [geometry.turning(part.width, part.section, *each, problem.direction, moment_rate) for each in given]
-    factor = ratio_factor(part.section, part.guess.ratio)
-    growth = tensions.totals(part.width, [geometry.scaled(each, factor) for each in turning], integrate, size)
+    geometry, whole = problem.geometry, start.wrap_angle is not None
+    turning = _turning(problem, part, tensions, strains, moment_rate)
+    rates = geometry.scaled(turning, ratio_factor(part.section, part.guess.ratio))
+    rates = jnp.concatenate([rates, turning], axis=2) if whole else rates
+    found = tensions.totals(part.width, rates, geometry.size, geometry.gains if problem.reverses else None)
     if start.wrap_angle is None:
-        return growth, (None, None)
-    nodes, end = tensions.totals(part.width, turning, integrate, size)
-    return growth, (start.wrap_angle + nodes, start.wrap_angle + end)
+        return found, (None, None)
+    (growth, wrap), (last, total) = (jnp.split(each, 2, axis=-1) for each in found)
+    return (growth, last), (start.wrap_angle + wrap, start.wrap_angle + total)
 
 
 def _moments(problem: Problem, guess: Nodal) -> Float[Array, "p *components"]:

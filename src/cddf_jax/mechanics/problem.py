@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ..numerics.arrays import zero_as
-from ..numerics.elements import Elements, elements_between, joints
+from ..numerics.elements import LARGEST_ORDER, Elements, elements_between, joints
 from ..numerics.fixed_point import without_derivative
 from ..robot.cross_section import AnySection, SpatialSection, where_present
 from ..robot.loads import Loads, force_at_points, force_per_length
@@ -64,6 +64,7 @@ class Problem(eqx.Module):
     outboard: Outboard  # zero without loads
     base_moment: Moment  # M_ext(0), N m; zero without loads
     moment_scale: Number  # E J / L at the base, N m
+    rough: bool = eqx.field(default=False, static=True)  # whether kinks are passed over, for a first guess
 
     @property
     def base(self) -> AnySection:
@@ -82,8 +83,8 @@ class Problem(eqx.Module):
 
     @property
     def reverses(self) -> bool:
-        """Whether a tendon may turn to both sides along the body; static."""
-        return self.geometry.reverses(self.manipulator, self.loads is not None)
+        """Whether the integrals allow for a tendon that turns to both sides along the body; static."""
+        return not self.rough and self.geometry.reverses(self.manipulator, self.loads is not None)
 
     @property
     def turns_over(self) -> bool:
@@ -181,10 +182,15 @@ def lay_out(
     nodes: int,
     loads: Loads | None = None,
     cut: Elements | None = None,
+    rough: bool = False,
 ) -> Problem:
-    """Cut the body into elements, unless `cut` holds them, and evaluate its cross-sections."""
+    """Cut the body into elements, unless `cut` holds them, and evaluate its cross-sections.
+
+    A rough problem passes over kinks: each smooth piece is one element.
+    """
     geometry = geometry_of(manipulator)
-    cut = elements_of(manipulator, nodes, loads is not None) if cut is None else cut
+    if cut is None:
+        cut = elements_of(manipulator, nodes, loads is not None, rough)
     nudge = edge_nudge(cut)
     section = jax.vmap(lambda s: guarded_section(manipulator, s))
     along = section(jnp.concatenate([nudge[None], cut.nodes.ravel(), cut.edges[-1:] - nudge]))
@@ -203,17 +209,20 @@ def lay_out(
         outboard=_outboard(manipulator, cut, loads),
         base_moment=jnp.asarray(geometry.no_moment, cut.edges.dtype),
         moment_scale=geometry.bending_stiffness(along)[0] / cut.edges[-1],
+        rough=rough,
     )
 
 
-def elements_of(manipulator: Manipulator, nodes: int, loaded: bool) -> Elements:
+def elements_of(manipulator: Manipulator, nodes: int, loaded: bool, rough: bool = False) -> Elements:
     """Elements that end where the body or a tendon is not smooth.
 
     A smooth piece whose tendons always turn to one side is one element. Otherwise it has `ELEMENTS` of half the nodes
-    each, so that a change of sign disturbs one of them only.
+    each, so that a kink disturbs one of them only. For a rough problem each piece is one element.
     """
     ends = joints(jnp.asarray(manipulator.length), manipulator.breakpoints)
     kinks = geometry_of(manipulator).reverses(manipulator, loaded) or manipulator.tendon_drag is not None
+    if rough:
+        return elements_between(ends, min(nodes, LARGEST_ORDER))
     return elements_between(ends, ELEMENTS * nodes // 2, ELEMENTS) if kinks else elements_between(ends, nodes)
 
 

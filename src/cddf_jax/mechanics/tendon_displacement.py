@@ -20,11 +20,11 @@ def tendon_displacement(problem: Problem, state: State) -> PerTendon:
     body, geometry = problem.manipulator, problem.geometry
 
     def gain(width: Number, section: AnySection, state: State) -> PerTendon:
-        tensions = tensions_along(section, problem.base_tension, state.pull)
+        tensions = tensions_along(section, problem.base_tension, state.pull, problem.rough)
         at = state.heading, state.moment, state.force, state.strain
-        strains = [jax.vmap(geometry.strain)(section, tension, *at) for tension in tensions.branches]
-        slip = jax.vmap(geometry.slip_rate, (0, 0, 0, None))
-        rates = [slip(section, *each, body.tendon_compliance) for each in zip(strains, tensions.branches, strict=True)]
+        strain = jax.vmap(jax.vmap(geometry.strain), (None, 0, None, None, None, None))(section, tensions.branches, *at)
+        slip = jax.vmap(jax.vmap(geometry.slip_rate, (0, 0, 0, None)), (None, 0, 0, None))
+        rates = slip(section, strain, tensions.branches, body.tendon_compliance)
         return tensions.totals(width, rates)[1]
 
     outside = stretch_rate(body.tendon_compliance, problem.base_tension) * body.tendon_free_length

@@ -30,9 +30,13 @@ def truncation_error(problem: Problem, solution: Solution, method: Method) -> Nu
     fine = lay_out(problem.manipulator, problem.base_tension, problem.direction, 0, problem.loads, finer)
     fine = eqx.tree_at(lambda fine: fine.base_moment, fine, problem.base_moment)
     state = jax.tree.map(lambda a, b: cut.resample(a, b, finer.rule.nodes), solution.starts, solution.nodes)
-    if problem.reverses:
-        state = once.improve(fine, nodal(fine, state), state.strain).nodes
-    found = once.finish(fine, nodal(fine, state), state.strain)
+
+    def again(last: tuple, _: None) -> tuple[tuple, Solution]:
+        found = once.finish(fine, *last)
+        return (nodal(fine, found.nodes), found.nodes.strain), found
+
+    _, iterates = jax.lax.scan(again, (nodal(fine, state), state.strain), length=2 if problem.reverses else 1)
+    found = jax.tree.map(lambda x: x[-1], iterates)
     missed = jnp.sum(jnp.abs(_gains(problem, found) - _gains(problem, solution)), axis=0)
     return jnp.maximum(SAFETY * largest(missed), _unseen_turning(problem))
 

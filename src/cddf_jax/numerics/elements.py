@@ -23,14 +23,14 @@ from .rotations import length_of, square_root
 
 Tree = TypeVar("Tree")
 LARGEST_ORDER = 16  # Gauss nodes in one element
-ROOT_STEPS = 1  # of Newton's method, from the root of the straight line between two nodes
 POINTS_BETWEEN = 4  # Gauss points in a part of a sub-interval
 
 
 class Rule(NamedTuple):
     """The Gauss rule on an element scaled to [0, 1], as NumPy constants; p = order.
 
-    Sub-intervals lie between 0, the nodes and 1.
+    Sub-intervals lie between 0, the nodes and 1. On each of them a quartic has the values and slopes of the polynomial
+    through the nodes at both ends, and its integral.
     """
 
     nodes: np.ndarray  # (p,)
@@ -42,9 +42,10 @@ class Rule(NamedTuple):
     ends: np.ndarray  # (2, p) values at the nodes -> their polynomial at 0 and at 1
     barycentric: np.ndarray  # (p,) barycentric weights of the nodes
     points: np.ndarray  # (p + 2,) 0, the nodes and 1
-    at_points: np.ndarray  # (p + 2, p) values at the nodes -> their polynomial at the points
-    slopes: np.ndarray  # (p + 2, p) likewise its derivative
-    inner: np.ndarray  # (p + 1, q, p) likewise its value at `POINTS_BETWEEN` Gauss points in each sub-interval
+    step: np.ndarray  # (p + 1,) widths of the sub-intervals
+    quartics: np.ndarray  # (5, p + 1, p) values at the nodes -> coefficients, over sub-intervals of width 1
+    gains: np.ndarray  # (p + 1, p) likewise the integral of the polynomial over each sub-interval
+    inner: np.ndarray  # (p + 1, q, p) likewise the polynomial at `POINTS_BETWEEN` Gauss points in each sub-interval
 
 
 @lru_cache
@@ -53,82 +54,120 @@ def gauss_rule(order: int) -> Rule:
     roots, weights = legendre.leggauss(order)
     values = legendre.legvander(roots, order - 1)
     series = values.T * weights * (np.arange(order)[:, None] + 0.5)  # values at the nodes -> Legendre coefficients
-    identity = np.eye(order)
-    points = np.concatenate([[-1.0], roots, [1.0]])
-    between = legendre.leggauss(POINTS_BETWEEN)[0]
+    identity, points = np.eye(order), np.concatenate([[-1.0], roots, [1.0]])
     barycentric = 1.0 / np.prod(np.where(identity > 0, 1.0, roots[:, None] - roots), axis=1)
-    inner = points[:-1, None] + np.diff(points)[:, None] * (between + 1) / 2
+    integrals = np.stack([legendre.legval(points[1:], legendre.legint(row, lbnd=-1)) for row in identity], axis=1)
+    slopes = np.stack([legendre.legval(points, legendre.legder(row)) for row in identity], axis=1) @ series
+    step, ends = np.diff(points)[:, None] / 2, legendre.legvander(points, order - 1) @ series
+    start, first, last, rise = ends[:-1], 2 * step * slopes[:-1], 2 * step * slopes[1:], np.diff(ends, axis=0)
+    gains = np.diff(integrals @ series / 2, axis=0, prepend=0.0)
+    cubic = np.stack([start, first, 3 * rise - 2 * first - last, first + last - 2 * rise, 0 * rise])
+    missing = 30 * (gains / step - np.tensordot(1 / np.arange(1.0, 6.0), cubic, 1))  # of t^2 (1 - t)^2
+    between = points[:-1, None] + step * (legendre.leggauss(POINTS_BETWEEN)[0] + 1)
     return Rule(
         nodes=(roots + 1) / 2,
         weights=weights / 2,
-        totals=np.stack([legendre.legval(points[1:], legendre.legint(row, lbnd=-1)) for row in identity], 1)
-        @ series
-        / 2,
-        differentiation=2 * np.stack([legendre.legval(roots, legendre.legder(row)) for row in identity], 1) @ series,
+        totals=integrals @ series / 2,
+        differentiation=2 * slopes[1:-1],
         series=series,
         interpolation=np.linalg.inv(legendre.legvander(points[:-1], order)),
-        ends=legendre.legvander(np.array([-1.0, 1.0]), order - 1) @ series,
+        ends=ends[[0, -1]],
         barycentric=barycentric / np.max(np.abs(barycentric)),
         points=(points + 1) / 2,
-        at_points=legendre.legvander(points, order - 1) @ series,
-        slopes=2 * np.stack([legendre.legval(points, legendre.legder(row)) for row in identity], 1) @ series,
-        inner=legendre.legvander(inner, order - 1) @ series,
+        step=step[:, 0],
+        quartics=cubic + np.multiply.outer([0.0, 0.0, 1.0, -2.0, 1.0], missing),
+        gains=gains,
+        inner=legendre.legvander(between, order - 1) @ series,
     )
 
 
-def times(matrix: np.ndarray, values: Float[Array, "p *k"]) -> Float[Array, "q *k"]:
-    """The product of a constant matrix and values along their first axis.
+def times(matrix: np.ndarray, values: Float[Array, "p *k"]) -> Float[Array, "..."]:
+    """The product of a constant matrix (*q, p) and values along their first axis.
 
     The matrix is the right factor: XLA then multiplies a batch without copies.
     """
-    return jnp.moveaxis(jnp.moveaxis(values, 0, -1) @ jnp.asarray(matrix.T, values.dtype), -1, 0)
+    flat = jnp.asarray(matrix.reshape(-1, matrix.shape[-1]).T, values.dtype)
+    return jnp.moveaxis(jnp.moveaxis(values, 0, -1) @ flat, -1, 0).reshape(*matrix.shape[:-1], *values.shape[1:])
 
 
 # --- one element --------------------------------------------------------------------------------
 
+Totals = tuple[Float[Array, "p *k"], Float[Array, "*k"]]  # from the start of an element to its nodes, and to its end
+Quartic = Float[Array, "5 q *k"]  # coefficients over sub-intervals of width 1
 
-def totals(width: Float[Array, ""], rate: Float[Array, "p *k"]) -> tuple[Float[Array, "p *k"], Float[Array, "*k"]]:
-    """The integral of a rate from the start of an element to its nodes, and over the element."""
+
+def totals(width: Float[Array, ""], rate: Float[Array, "p *k"]) -> Totals:
+    """The integral of a rate."""
     found = times(gauss_rule(rate.shape[0]).totals, width * rate)
     return found[:-1], found[-1]
 
 
+def sums(width: Float[Array, ""], gains: Float[Array, "q *k"]) -> Totals:
+    """The integral whose gains over the sub-intervals, for an element of width 1, are given."""
+    found = times(np.tril(np.ones((len(gains), len(gains)))), width * gains)
+    return found[:-1], found[-1]
+
+
+def gains(rate: Float[Array, "p *k"]) -> Float[Array, "q *k"]:
+    """The integral of a rate over each sub-interval."""
+    return times(gauss_rule(rate.shape[0]).gains, rate)
+
+
 @jax.custom_jvp
-def totals_of_magnitude(
-    width: Float[Array, ""], rate: Float[Array, "p *k"]
-) -> tuple[Float[Array, "p *k"], Float[Array, "*k"]]:
-    """As `totals`, of |rate|. A sub-interval in which the rate changes its sign is divided at the root."""
-    return _totals_by_sign(width, rate, rate)
+def gains_of_magnitude(rate: Float[Array, "p *k"]) -> Float[Array, "q *k"]:
+    """The integral of |rate| over each sub-interval, which is divided where the rate changes its sign."""
+    return _gains_by_sign(rate, rate)
 
 
-@totals_of_magnitude.defjvp
-def _(primals: tuple, tangents: tuple) -> tuple[tuple, tuple]:
-    (width, rate), (wider, change) = primals, tangents
-    found = totals_of_magnitude(width, rate)
-    moved = _totals_by_sign(width, rate, change)  # the root moves, but there the rate is zero
-    return found, jax.tree.map(lambda by_rate, total: by_rate + wider / width * total, moved, found)
+@gains_of_magnitude.defjvp
+def _(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
+    # the root moves, but there the rate is zero
+    return gains_of_magnitude(*primals), _gains_by_sign(*primals, *tangents)
 
 
-def _totals_by_sign(
-    width: Float[Array, ""], rate: Float[Array, "p *k"], values: Float[Array, "p *k"]
-) -> tuple[Float[Array, "p *k"], Float[Array, "*k"]]:
-    """As `totals`, of values times the sign of a rate, which is 1 where the rate is 0.
-
-    Roots are those of the cubic through the rate and its slopes at the ends of a sub-interval.
-    """
+def _gains_by_sign(rate: Float[Array, "p *k"], values: Float[Array, "p *k"]) -> Float[Array, "q *k"]:
+    """The integral of values times the sign of a rate, which is 1 where the rate is 0."""
     rule = gauss_rule(rate.shape[0])
-    step = jnp.asarray(np.diff(rule.points).reshape(-1, *[1] * (rate.ndim - 1)), rate.dtype)
-    ends = times(rule.at_points, rate)
-    left = ends < 0
-    crosses = ends[:-1] * ends[1:] < 0
-    root = _root_of_cubic(_hermite(ends, times(rule.slopes, rate), step), jnp.where(crosses, ends[1:] - ends[:-1], 1.0))
-    a, b, c, d = _hermite(times(rule.at_points, values), times(rule.slopes, values), step)
-    before = step * root * (a + root * (b / 2 + root * (c / 3 + root * d / 4)))
-    gain = times(np.diff(rule.totals, axis=0, prepend=0.0), values)
+    curve = times(rule.quartics, rate)
+    crosses, root = _roots(curve)
+    gain = gains(values)
+    before = _along(rule.step, gain) * _integral(times(rule.quartics, values), root)
+    left = (curve[0] < 0) | (~crosses & (jnp.sum(curve, axis=0) < 0))
     signed = jnp.where(crosses, 2 * before - gain, gain)
-    turned = jnp.where(crosses, left[:-1], left[:-1] | left[1:])
-    sums = times(np.tril(np.ones((len(step), len(step)))), width * jnp.where(turned, -signed, signed))
-    return sums[:-1], sums[-1]
+    return jnp.where(left, -signed, signed)
+
+
+def _along(numbers: np.ndarray, like: Float[Array, "q *k"]) -> Float[Array, "q *_"]:
+    return jnp.asarray(numbers.reshape(-1, *[1] * (like.ndim - 1)), like.dtype)
+
+
+def _value(curve: Quartic, t: Array) -> Array:
+    return curve[0] + t * (curve[1] + t * (curve[2] + t * (curve[3] + t * curve[4])))
+
+
+def _rate(curve: Quartic, t: Array) -> Array:
+    return curve[1] + t * (2 * curve[2] + t * (3 * curve[3] + 4 * t * curve[4]))
+
+
+def _integral(curve: Quartic, t: Array) -> Array:
+    return t * (curve[0] + t * (curve[1] / 2 + t * (curve[2] / 3 + t * (curve[3] / 4 + t * curve[4] / 5))))
+
+
+def _roots(curve: Quartic) -> tuple[Bool[Array, "q *k"], Float[Array, "q *k"]]:
+    """Whether quartics change their sign, and the root in [0, 1], by Newton's method from the root of the chord.
+
+    The last step gives it derivatives of any order.
+    """
+    end = jnp.sum(curve, axis=0)
+    crosses = curve[0] * end < 0
+    change = jnp.where(crosses, end - curve[0], 1.0)
+
+    def newton(curve: Quartic, root: Array) -> Array:
+        rise = _rate(curve, root)
+        return jnp.clip(root - _value(curve, root) / jnp.where(rise == 0, change, rise), 0.0, 1.0)
+
+    start = jax.lax.stop_gradient(-curve[0] / change)
+    return crosses, newton(curve, newton(jax.lax.stop_gradient(curve), start))
 
 
 class Root(NamedTuple):
@@ -142,143 +181,80 @@ class Root(NamedTuple):
 def first_root(values: Float[Array, "p *k"]) -> Root:
     """The first change of sign of functions, with derivatives of any order."""
     rule = gauss_rule(values.shape[0])
-    points = jnp.asarray(rule.points.reshape(-1, *[1] * (values.ndim - 1)), values.dtype)
-    step, ends = jnp.diff(points, axis=0), times(rule.at_points, values)
-    crosses = ends[:-1] * ends[1:] < 0
-    first = crosses & (times(np.tril(np.ones((len(step), len(step)))), crosses.astype(values.dtype)) < 1.5)
-    a, b, c, d = cubic = _hermite(ends, times(rule.slopes, values), step)
-    root = _root_of_cubic(cubic, jnp.where(crosses, ends[1:] - ends[:-1], 1.0))
-    before = times(rule.totals, values) - times(np.diff(rule.totals, axis=0, prepend=0.0), values)
-    total = before + step * root * (a + root * (b / 2 + root * (c / 3 + root * d / 4)))
+    curve = times(rule.quartics, values)
+    crosses, root = _roots(curve)
+    count = times(np.tril(np.ones((len(crosses), len(crosses)))), crosses.astype(values.dtype))
+    first, step = crosses & (count < 1.5), _along(rule.step, root)
+    total = times(rule.totals - rule.gains, values) + step * _integral(curve, root)
     exists = jnp.any(first, axis=0)
-    place = jnp.where(exists, jnp.sum(jnp.where(first, points[:-1] + step * root, 0.0), axis=0), 1.0)
-    return Root(exists, place, jnp.sum(jnp.where(first, total, 0.0), axis=0))
+    place = jnp.sum(jnp.where(first, _along(rule.points[:-1], root) + step * root, 0.0), axis=0)
+    return Root(exists, jnp.where(exists, place, 1.0), jnp.sum(jnp.where(first, total, 0.0), axis=0))
 
 
-def _root_of_cubic(cubic: tuple[Array, Array, Array, Array], change: Array) -> Array:
-    """The root in [0, 1] of a cubic that changes its sign, by Newton's method from the root of the chord.
-
-    The last step gives it derivatives of any order.
-
-    `change`: the value at 1 less that at 0.
-    """
-
-    def newton(root: Array, cubic: tuple[Array, Array, Array, Array]) -> Array:
-        a, b, c, d = cubic
-        height, rise = a + root * (b + root * (c + root * d)), b + root * (2 * c + 3 * root * d)
-        return jnp.clip(root - height / jnp.where(rise == 0, change, rise), 0.0, 1.0)
-
-    still = jax.lax.stop_gradient(cubic)
-    root = jax.lax.stop_gradient(-cubic[0] / change)
-    for _ in range(ROOT_STEPS):
-        root = newton(root, still)
-    return newton(root, cubic)
-
-
-def totals_of_length(
-    width: Float[Array, ""], rate: Float[Array, "p *k n"]
-) -> tuple[Float[Array, "p *k"], Float[Array, "*k"]]:
-    """As `totals`, of the length of a vector, also where the vector passes near zero.
-
-    The length of the polynomial is integrated by Gauss points in every sub-interval. What they miss is found on the
-    cubic through values and slopes at the ends of the sub-interval, see `_missed`.
-    """
-    rule = gauss_rule(rate.shape[0])
-    step = jnp.asarray(np.diff(rule.points).reshape(-1, *[1] * (rate.ndim - 2)), rate.dtype)
-    points, slopes = times(rule.at_points, rate), times(rule.slopes, rate)
-    weights = legendre.leggauss(POINTS_BETWEEN)[1] / 2
-    inner = length_of(times(rule.inner.reshape(-1, len(rule.nodes)), rate))
-    inner = inner.reshape(len(step), POINTS_BETWEEN, *inner.shape[1:])
-    parts = step * (jnp.tensordot(inner, jnp.asarray(weights, rate.dtype), (1, 0)))
-    parts = parts + step * _missed(_hermite(points, slopes, step[..., None]))
-    sums = times(np.tril(np.ones((len(step), len(step)))), width * parts)
-    return sums[:-1], sums[-1]
-
-
-def totals_switched(
-    integrate: Callable[[Array, Array], tuple[Array, Array]],
-    size: Callable[[Array], Array],
-    width: Float[Array, ""],
-    before: Array,
-    after: Array,
-    place: Float[Array, ""],
-) -> tuple[Array, Array]:
-    """The integral of a rate that is `before` up to a place in [0, 1] of the element, and `after` beyond it.
+def switched(
+    gains: Callable[[Array], Array], size: Callable[[Array], Array], branches: Float[Array, "2 p *k"], place: Array
+) -> Float[Array, "q *k"]:
+    """The gains over the sub-intervals of a rate that is on one branch up to a place, and on the other beyond it.
 
     Args:
-        integrate: one of the functions above.
-        size: what it integrates of a rate: the rate itself, its magnitude or its length.
-        width: of the element.
-        before, after: the rates at the nodes, equal at the place.
-        place: in [0, 1].
+        gains: a function that integrates a rate over the sub-intervals.
+        size: what it integrates: the rate itself, its magnitude or its length.
+        branches: the rates at the nodes, equal at the place.
+        place: in [0, 1] of the element.
     """
-    points = jnp.asarray(gauss_rule(before.shape[0]).points, place.dtype)
-    i = jnp.sum(points[1:-1] <= place)  # the last point before the place
-
-    def to_place(rate: Array, nodes: Array) -> Array:
-        """By Simpson's rule from the last point before it."""
-        along = jnp.stack([points[i], (points[i] + place) / 2, place])
-        weights = legendre_basis(along, rate.shape[0]) @ jnp.asarray(gauss_rule(rate.shape[0]).series, rate.dtype)
-        first, middle, last = size(jnp.tensordot(weights, rate, 1))
-        known = jnp.concatenate([jnp.zeros_like(nodes[:1]), nodes])[i]
-        return known + width * (place - points[i]) / 6 * (first + 4 * middle + last)
-
-    (nodes, end), (nodes_after, end_after) = integrate(width, before), integrate(width, after)
-    shift = to_place(before, nodes) - to_place(after, nodes_after)
-    early = (points[1:-1] < place).reshape(-1, *[1] * (nodes.ndim - 1))
-    return jnp.where(early, nodes, nodes_after + shift), jnp.where(place < 1, end_after + shift, end)
+    rule, found = gauss_rule(branches.shape[1]), jax.vmap(gains)(branches)
+    t = (place - _along(rule.points[:-1], found[0])) / _along(rule.step, found[0])
+    early, late = jax.vmap(lambda rate: times(rule.quartics, rate))(branches)
+    within = jnp.clip(t, 0.0, 1.0).reshape(*t.shape, *[1] * (late.ndim - 1 - t.ndim))  # the rates may be vectors
+    beyond = _integral(late, jnp.ones_like(within)) - _integral(late, within)
+    divided = _along(rule.step, found[0]) * (size(_integral(early, within)) + size(beyond))
+    return jnp.where(t >= 1, found[0], jnp.where(t <= 0, found[1], divided))
 
 
-def legendre_basis(place: Float[Array, "*k"], count: int) -> Float[Array, "*k count"]:
-    """The first Legendre polynomials at places in [0, 1] of an element."""
-    x = 2 * place - 1
-    basis = [jnp.ones_like(x), x]
-    for n in range(1, count - 1):
-        basis.append(((2 * n + 1) * x * basis[n] - n * basis[n - 1]) / (n + 1))
-    return jnp.stack(basis[:count], axis=-1)
+def gains_of_length(rate: Float[Array, "p *k n"]) -> Float[Array, "q *k"]:
+    """The integral of the length of a vector over each sub-interval, also where the vector passes near zero.
 
-
-def _hermite(value: Array, slope: Array, step: Array) -> tuple[Array, Array, Array, Array]:
-    """The coefficients of the cubics through values and slopes at neighbouring points, over widths of 1."""
-    start, end, rise = value[:-1], step * slope[:-1], value[1:] - value[:-1]
-    last = step * slope[1:]
-    return start, end, 3 * rise - 2 * end - last, end + last - 2 * rise
-
-
-def _missed(cubic: tuple[Array, Array, Array, Array]) -> Array:
-    """The integral of |c| over [0, 1] less that by Gauss points, for a cubic c in space.
-
-    Near its minimum z, |c| is about the root of alpha^2 + beta^2 (t - z)^2, whose integral has a closed form. The rest
-    is integrated by Gauss points on either side of z.
+    The length of the polynomial is integrated by Gauss points. What they miss is found on the quartic.
     """
-    a, b, c, d = cubic
+    rule = gauss_rule(rate.shape[0])
+    weights = jnp.asarray(legendre.leggauss(POINTS_BETWEEN)[1] / 2, rate.dtype)
+    inner = jnp.tensordot(length_of(times(rule.inner, rate)), weights, ((1,), (0,)))
+    return _along(rule.step, inner) * (inner + _missed(times(rule.quartics, rate)))
+
+
+def _missed(curve: Float[Array, "5 q *k n"]) -> Float[Array, "q *k"]:
+    """The integral of the length of a quartic over [0, 1] less that by Gauss points.
+
+    Near its minimum z, the length is about the root of alpha^2 + beta^2 (t - z)^2, whose integral has a closed form.
+    The rest is integrated by Gauss points on either side of z.
+    """
     nodes, weights = legendre.leggauss(POINTS_BETWEEN)
     nodes, weights = (nodes + 1) / 2, weights / 2
-
-    def at(t):
-        return a + t[..., None] * (b + t[..., None] * (c + t[..., None] * d))
-
-    def rate(t):
-        return b + t[..., None] * (2 * c + t[..., None] * (3 * d))
-
-    def nearest(t, value, rate):
-        speed = jnp.sum(rate**2, axis=-1)
-        return jnp.clip(t - jnp.sum(value * rate, axis=-1) / jnp.where(speed > 0, speed, 1.0), -0.5, 1.5)
-
-    chord = at(jnp.ones(a.shape[:-1], a.dtype)) - a
-    z = nearest(jnp.zeros(a.shape[:-1], a.dtype), a, chord)
-    z = jax.lax.stop_gradient(nearest(z, at(z), rate(z)))
-    alpha, beta = jnp.sum(at(z) ** 2, axis=-1), jnp.sum(rate(z) ** 2, axis=-1)
+    z = _nearest(curve)
+    value, rate = _value(curve, z[..., None]), _rate(curve, z[..., None])
+    alpha, beta = jnp.sum(value**2, axis=-1), jnp.sum(rate**2, axis=-1)
     cut = jnp.clip(z, 0.0, 1.0)
 
-    def rest(t):
-        return length_of(at(t)) - square_root(alpha + beta * (t - z) ** 2)
+    def rest(t: Array) -> Array:
+        return length_of(_value(curve, t[..., None])) - square_root(alpha + beta * (t - z) ** 2)
 
     found = _kernel(alpha, beta, 1.0 - z) + _kernel(alpha, beta, z)
     for node, weight in zip(nodes, weights, strict=True):
         found = found + weight * (cut * rest(cut * node) + (1 - cut) * rest(cut + (1 - cut) * node))
-        found = found - weight * length_of(at(jnp.full(a.shape[:-1], node, a.dtype)))
+        found = found - weight * length_of(_value(curve, jnp.asarray(node, curve.dtype)))
     return found
+
+
+def _nearest(curve: Float[Array, "5 q *k n"]) -> Float[Array, "q *k"]:
+    """Where a quartic is nearest to zero: on its chord, and after one step of Newton's method; without derivatives."""
+
+    def nearer(t: Array, value: Array, rate: Array) -> Array:
+        speed = jnp.sum(rate**2, axis=-1)
+        return jnp.clip(t - jnp.sum(value * rate, axis=-1) / jnp.where(speed > 0, speed, 1.0), -0.5, 1.5)
+
+    start = jnp.zeros(curve.shape[1:-1], curve.dtype)
+    z = nearer(start, curve[0], jnp.sum(curve[1:], axis=0))
+    return jax.lax.stop_gradient(nearer(z, _value(curve, z[..., None]), _rate(curve, z[..., None])))
 
 
 def _kernel(alpha: Array, beta: Array, t: Array) -> Array:
@@ -319,7 +295,7 @@ class Elements(eqx.Module):
 
     def gain(self, rate: Float[Array, "P p *k"]) -> Float[Array, "P *k"]:
         """The integral of `rate` over each element."""
-        return self._along(rate, self.width) * (jnp.moveaxis(rate, 1, -1) @ jnp.asarray(self.rule.weights, rate.dtype))
+        return self._widths(rate) * (jnp.moveaxis(rate, 1, -1) @ jnp.asarray(self.rule.weights, rate.dtype))
 
     def integrate(self, rate: Float[Array, "P p *k"]) -> tuple[Float[Array, "edges *k"], Float[Array, "P p *k"]]:
         """The integral of `rate` from the base to every edge and to every node."""
@@ -342,12 +318,20 @@ class Elements(eqx.Module):
         weights = jnp.asarray(np.tile(rule.weights, parts) / parts, self.edges.dtype)
         places = self.edges[:-1, None] + self.width[:, None] * jnp.asarray(fractions, self.edges.dtype)
         values = jax.vmap(jax.vmap(rate))(places)
-        return self._along(values, self.width) * (jnp.moveaxis(values, 1, -1) @ weights)
+        return self._widths(values) * (jnp.moveaxis(values, 1, -1) @ weights)
 
     def resample(self, start: Float[Array, "P *k"], values: Float[Array, "P p *k"], places: np.ndarray) -> Array:
         """The polynomials through the starts and the nodes of the elements, at other points in [0, 1] of each."""
         basis = legendre.legvander(2 * places - 1, self.order) @ self.rule.interpolation
         return jax.vmap(lambda a, b: times(basis, jnp.concatenate([a[None], b])))(start, values)
+
+    def refined(self, values: Float[Array, "P p *k"], finer: "Elements") -> Float[Array, "Q q *k"]:
+        """The polynomials through the nodes, at the nodes of elements into which each of these is divided equally."""
+        parts = finer.nodes.shape[0] // self.nodes.shape[0]
+        places = (np.arange(parts)[:, None] + finer.rule.nodes).ravel() / parts
+        basis = legendre.legvander(2 * places - 1, self.order - 1) @ self.rule.series
+        found = jax.vmap(lambda x: times(basis, x))(values)
+        return found.reshape(*finer.nodes.shape, *values.shape[2:])
 
     def interpolate(self, start: Tree, values: Tree, arc_length: Float[Array, ""]) -> Tree:
         """The polynomials through the start and the nodes of the element that holds `arc_length`.
@@ -356,7 +340,11 @@ class Elements(eqx.Module):
             start, values: trees of arrays with leading axes P and (P, p).
         """
         i, x = self._within(arc_length)
-        weights = legendre_basis(x, self.order + 1) @ jnp.asarray(self.rule.interpolation, x.dtype)
+        x = 2 * x - 1
+        basis = [jnp.ones_like(x), x]
+        for n in range(1, self.order):
+            basis.append(((2 * n + 1) * x * basis[n] - n * basis[n - 1]) / (n + 1))
+        weights = jnp.stack(basis) @ jnp.asarray(self.rule.interpolation, x.dtype)
         return jax.tree.map(lambda a, b: jnp.tensordot(weights, jnp.concatenate([a[i][None], b[i]]), 1), start, values)
 
     def lagrange(self, place: Float[Array, ""]) -> Float[Array, " p"]:
@@ -369,8 +357,8 @@ class Elements(eqx.Module):
         terms = jnp.asarray(self.rule.barycentric, apart.dtype) / safe
         return terms / jnp.sum(terms)
 
-    def _along(self, values: Float[Array, "P p *k"], widths: Float[Array, " P"]) -> Float[Array, "P *_"]:
-        return widths.reshape((-1, *[1] * (values.ndim - 2)))
+    def _widths(self, values: Float[Array, "P p *k"]) -> Float[Array, "P *_"]:
+        return self.width.reshape((-1, *[1] * (values.ndim - 2)))
 
     def _within(self, arc_length: Float[Array, ""]) -> tuple[Int[Array, ""], Float[Array, ""]]:
         """The index of the element that holds `arc_length`, and the position within it, from 0 to 1.

@@ -30,9 +30,9 @@ class Setup(eqx.Module):
     nodes: int = eqx.field(static=True)
     to_find: tuple[int, ...] = eqx.field(default=(), static=True)  # the tendons whose direction is not stated
 
-    def lay_out(self, base_tension: PerTendon) -> Problem:
+    def lay_out(self, base_tension: PerTendon, rough: bool = False) -> Problem:
         """The problem under the full loads."""
-        return lay_out(self.manipulator, base_tension, self.direction, self.nodes, self.loads)
+        return lay_out(self.manipulator, base_tension, self.direction, self.nodes, self.loads, rough=rough)
 
     def sliding(self, direction: PerTendon) -> "Setup":
         """The same with other directions."""
@@ -99,19 +99,25 @@ def _as_stated(setup: Setup, base_tension: PerTendon) -> Settled:
     start = unsettled(setup, base_tension)
     if setup.loads is None:
         return start
-    body = LoadedBody(setup.lay_out(base_tension), setup.method)
-    path, end = follow_loads(body, start.num_iterations)
-    state = state_at_nodes(body.problem, end.values.nodal, end.strain)
-    travel = travel_under_tension(body.problem, state.pull, body.travel_rate(end, path.fraction))
+    rough, body = (LoadedBody(setup.lay_out(base_tension, each), setup.method) for each in (True, False))
+    path, end = follow_loads(rough, start.num_iterations)
+    state = state_at_nodes(rough.problem, end.values.nodal, end.strain)
+    travel = travel_under_tension(rough.problem, state.pull, rough.travel_rate(end, path.fraction))
+    found = rough.refine(end, body, path.fraction)
+    path = path._replace(
+        base_moment=jnp.where(path.converged, found.moment, path.base_moment),
+        converged=path.converged & found.settled,
+        resolved=path.resolved & (found.settled | ~path.converged),
+    )
     return Settled(
         direction=start.direction,
         load_path=path,
         travel=travel,
-        values=end.values.nodal,
-        strain=end.strain,
-        num_iterations=end.num_iterations,
-        locked=end.locked,
-        error_amplification=body.error_amplification(end),
+        values=found.nodal,
+        strain=found.strain,
+        num_iterations=found.num_iterations,
+        locked=end.locked | (found.lost & found.settled),
+        error_amplification=rough.error_amplification(end),
     )
 
 

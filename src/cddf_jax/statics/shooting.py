@@ -65,6 +65,18 @@ class Iterate(NamedTuple):
     change: Number  # in the last iteration, relative; 0 before the first one
 
 
+class Polished(NamedTuple):
+    """An iterate of the chord method."""
+
+    moment: Moment  # M_ext(0) over its scale
+    nodal: Nodal
+    strain: Array | None  # as in an `Iterate`
+    settled: Flag
+    lost: Flag
+    change: Number
+    num_iterations: Number
+
+
 class LoadedBody(NamedTuple):
     """A body, to be solved at any load fraction and with any moment at its base."""
 
@@ -159,6 +171,50 @@ class LoadedBody(NamedTuple):
             turns, last = slopes.heading[:-1], before.slopes.heading[:-1]
             steady &= relative_size(turns - last, turns) <= STEADY
         return (off <= enough) & steady
+
+    def refine(self, end: Iterate, finer: "LoadedBody", fraction: Number) -> "Polished":
+        """The equilibrium of the same body without roughness, by the chord method: with the slopes of `end`.
+
+        Args:
+            end: an equilibrium of this body.
+            finer: the body with its kinks.
+            fraction: of the loads.
+        """
+
+        def onto(x: Array) -> Array:
+            return self.problem.elements.refined(x, finer.problem.elements)
+
+        nodal_slopes = jax.tree.map(jax.vmap(onto), end.slopes.nodal)
+        one, zero = jnp.ones_like(end.change), 0.0 * end.change
+        strain = None if end.strain is None else onto(end.strain)
+        start = Polished(
+            end.values.moment, jax.tree.map(onto, end.values.nodal), strain, zero > 0, zero > 0, zero, zero
+        )
+
+        def improve(last: Polished) -> Polished:
+            here = finer.at(last.moment, fraction, one)
+            solution = finer.method.improve(here, last.nodal, last.strain, last.change)
+            residual = moment_left_at_tip(here, solution)
+            step, off = _newton_step(self.problem, last.moment, residual, end.slopes.heading, end.residual_slopes)
+            moved = jax.tree.map(
+                lambda x, slope: x + along_moment(slope, step), nodal(here, solution.nodes), nodal_slopes
+            )
+            change = jnp.maximum(solution.residual, off)
+            settled = solution.converged & (off * off <= _round_off(off) * jnp.maximum(last.change, off))
+            return Polished(
+                last.moment + step,
+                moved,
+                solution.nodes.strain,
+                settled,
+                solution.locked | ~jnp.isfinite(change),
+                change,
+                last.num_iterations + 1.0,
+            )
+
+        def unfinished(last: Polished) -> Flag:
+            return ~(last.settled | last.lost) & (last.num_iterations < finer.method.max_iterations)
+
+        return jax.lax.while_loop(unfinished, improve, start)
 
     def is_stable(self, iterate: Iterate) -> Flag:
         """Whether the smallest eigenvalue of the tangent is positive: no conjugate point along the body."""
