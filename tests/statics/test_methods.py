@@ -130,10 +130,10 @@ SWEPT = {
 def test_one_pass_is_enough_where_its_result_does_not_depend_on_the_guess(case):
     body, loads, expected = SWEPT[case]
     tension = jnp.linspace(75.0, 40.0, body.num_tendons)
-    shape = (1, 16, body.num_tendons)
+    problem = eqx.filter_jit(lay_out)(body, tension, jnp.ones_like(tension), 16, loads)
+    shape = problem.nodes.offset.shape
     ratios = jnp.stack([jnp.ones(shape), jnp.asarray(np.random.default_rng(5).uniform(0.5, 3.0, shape))])
     guesses = Nodal(ratios, None if loads is None else jnp.ones((2, *shape[:2])))
-    problem = eqx.filter_jit(lay_out)(body, tension, jnp.ones_like(tension), 16, loads)
     ends = jax.jit(jax.vmap(lambda guess: cddf.FixedPoint().improve(problem, guess).tip.ratio))(guesses)
     assert problem.is_quadrature == expected
     assert bool(jnp.max(jnp.abs(ends[0] / ends[1] - 1)) < 1e-14) == expected

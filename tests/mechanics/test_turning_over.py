@@ -1,4 +1,4 @@
-"""Where curvature or a tendon's turning changes sign: located, and nothing lost there (see loaded_bodies.py)."""
+"""Where curvature or a tendon's turning changes sign, nothing is lost (see loaded_bodies.py)."""
 
 from dataclasses import replace
 from functools import lru_cache
@@ -15,11 +15,10 @@ from scipy.integrate import quad
 
 import cddf_jax as cddf
 from cddf_jax.mechanics.problem import lay_out
-from cddf_jax.mechanics.sign_changes import Splits, _first_changes, with_ends
 
 LENGTH = PAPER["length"]
-AGREES = 1e-9  # the reference integrates with a relative tolerance of 1e-11 per step
-LOCATED = 1e-6  # of the length: the reference stops a little late, where |kappa| is 1e-8 / L
+AGREES = 1e-7  # what `solve` promises of the length; the reference has a relative tolerance of 1e-11 per step
+TIP = 1e-8  # what it promises of the tip tension
 KINEMATICS = ["published", "exact"]
 
 
@@ -73,13 +72,6 @@ def plain(kinematics, *offsets, friction=0.42, youngs_modulus=1.4e6) -> PlainBod
     )
 
 
-def assert_located(solution, reference):
-    """Panels end wherever the reference finds a change of sign."""
-    ends = np.array(solution._dense.panels.edges)
-    for place in reference.turning_points:
-        assert np.min(np.abs(ends - place)) < LOCATED * LENGTH
-
-
 # --- two tendons against each other, no loads ----------------------------------------------------
 
 # both pull with 60 N on opposite sides; the farther one bends the body, and which that is changes along the way
@@ -112,16 +104,12 @@ def test_antagonists_of_changing_advantage(kinematics, case, direction):
     assert codes(solution.status)[0] in (cddf.Status.successful, cddf.Status.direction_contradicted)
     difference = largest_difference(solution, reference, plain(kinematics, *CROSSING[case][0]))
     assert difference < AGREES
-    assert difference < solution.error_estimate < 1e-9
-    # panels end where the reference's events are; in the published kinematics the curvature vanishes there
-    assert_located(solution, reference)
+    assert difference < solution.error_estimate < 1e-5
+    np.testing.assert_allclose(solution.tip_tension, reference.tip_tension, rtol=TIP)
     if kinematics == "published":
         # one shape for every case
         at = fields_at(solution, jnp.asarray(np.resize(reference.turning_points, 2)))
-        np.testing.assert_allclose(at.curvature, 0.0, atol=1e-6 * np.max(np.abs(reference.curvature)))
-    # the fields do not show the panels: their nodes are those of a body without a sign change, 16 between base and tip
-    x = np.concatenate([[-1.0], np.polynomial.legendre.leggauss(16)[0], [1.0]])
-    np.testing.assert_allclose(solution.arc_length, LENGTH * (x + 1) / 2, rtol=1e-12, atol=1e-16)
+        np.testing.assert_allclose(at.curvature, 0.0, atol=1e-5 * np.max(np.abs(reference.curvature)))
     along = fields_at(solution, solution.arc_length)
     for name in ("curvature", "heading", "position", "tension", "wrap_angle", "friction_force"):
         ours, theirs = getattr(solution, name), getattr(along, name)
@@ -130,7 +118,7 @@ def test_antagonists_of_changing_advantage(kinematics, case, direction):
 
 @pytest.mark.parametrize(("pulls", "direction"), [((60.0, 62.0), (+1, -1)), ((62.0, 66.0), (-1, +1))], ids=str)
 def test_parallel_antagonists_near_balance_have_no_sign_change(pulls, direction):
-    """Strong friction brings their moments together but not past each other; SciPy's reference knows no panels."""
+    """Strong friction brings their moments together but not past each other; SciPy's reference knows no elements."""
     offsets, friction = (Offset(0.010, 0.010), Offset(0.0095, 0.0095)), 2.0
     body = manipulator("exact", cddf.Constant(0.010), cddf.Constant(0.0095), friction=friction)
     solution = cddf.solve(body, pulls, direction=direction, throw=False)
@@ -138,13 +126,13 @@ def test_parallel_antagonists_near_balance_have_no_sign_change(pulls, direction)
     reference = loaded_reference(straight, pulls, direction=direction)
     assert len(reference.turning_points) == 0
     assert largest_difference(solution, reference, straight) < AGREES
-    assert solution._dense.panels.edges.shape == (2,)  # one panel, from base to tip
+    assert solution.elements.edges.shape == (2,)  # one element, from base to tip
 
 
-def test_what_one_panel_across_the_kink_would_cost():
-    """The same pass without a panel's end at the sign change loses 1e-4 of the tensions."""
+def test_what_passing_over_the_kink_would_cost():
+    """One element of 16 nodes that knows no sign change loses 1e-4 of the tensions."""
     offsets, _ = CROSSING["in the middle"]
-    problem = lay_out(manipulator("published", *offsets), jnp.array(PULLS), jnp.array([1.0, -1.0]), 16)
+    problem = lay_out(manipulator("published", *offsets), jnp.array(PULLS), jnp.array([1.0, -1.0]), 16, rough=True)
     path = eqx.filter_jit(cddf.FixedPoint())(problem)
     _, reference = crossing("published", "in the middle", (+1, -1))
     assert np.max(np.abs(np.array(PULLS) / path.tip.ratio / reference.tip_tension - 1)) > 1e-4
@@ -161,7 +149,6 @@ def test_a_bowed_tendon_turns_over_though_the_body_does_not():
     assert len(reference.turning_points) == 1
     assert np.min(reference.curvature) > 0
     assert largest_difference(solution, reference, plain("exact", offset)) < AGREES
-    assert_located(solution, reference)
 
 
 # on the paper's body: base tension (N), loads, number of sign changes
@@ -184,9 +171,8 @@ def test_loads_against_the_tendon(case):
     assert len(reference.turning_points) == changes
     difference = largest_difference(solution, reference, straight)
     assert difference < AGREES
-    assert difference < solution.error_estimate < 1e-9
-    assert_located(solution, reference)
-    assert solution.arc_length.shape == (18,)
+    assert difference < solution.error_estimate < 1e-5
+    np.testing.assert_allclose(solution.tip_tension, reference.tip_tension, rtol=TIP)
 
 
 # --- derivatives ---------------------------------------------------------------------------------
@@ -285,16 +271,3 @@ def test_the_derivative_at_the_kink_of_a_straight_body():
     _, forward, reverse = derivatives(EVEN)
     for slopes in (forward, reverse):
         np.testing.assert_allclose(slopes[0, 0], slopes_of_even_antagonists()[+1], rtol=1e-9)
-
-
-@pytest.mark.parametrize("splits", [[0.1], [0.1, 0.1], [0.1, LENGTH]], ids=["one end", "no width", "no width at tip"])
-def test_round_off_where_a_panel_ends_makes_one_sign_change_of_one(splits):
-    """Where panels meet at a sign change, their polynomials differ by less than what counts as turning there."""
-    problem = lay_out(paper_body(), jnp.array([40.0]), jnp.array([1.0]), 16, None, jnp.array(splits))
-    none, alternating = Splits(jnp.full(2, LENGTH), jnp.full(2, -1)), jnp.tile(jnp.array([1.1e-9, 0.9e-9]), 9)
-    turning = with_ends(problem.panels, 1.0 - problem.panels.nodes[..., None] / 0.1)
-    turning = turning.at[0, -1].set(0.9e-9).at[1, 0].set(1.1e-9)
-    turning = jnp.where(problem.panels.width[:, None, None] > 0, turning, alternating[:, None]).at[-1, 0].set(1.1e-9)
-    found = _first_changes(problem, turning, jnp.asarray(1e-9), none)
-    np.testing.assert_allclose(found.arc_length, [0.1, LENGTH], rtol=1e-8)
-    np.testing.assert_array_equal(found.owner, [0, -1])

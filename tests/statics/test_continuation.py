@@ -21,8 +21,8 @@ from scipy.optimize import brentq
 from scipy.special import jv
 
 import cddf_jax as cddf
-from cddf_jax.statics.equilibrium_derivatives import equilibrate
-from cddf_jax.statics.equilibrium_search import Setup
+from cddf_jax.statics.balance import equilibrate
+from cddf_jax.statics.settle import Setup
 
 LENGTH = PAPER["length"]
 AGREES = 1e-9  # the reference integrates with a relative tolerance of 1e-11 per step
