@@ -38,6 +38,7 @@ class Plane:
     """The strain is the curvature kappa, the heading is phi, rad, and a moment is a number."""
 
     components: ClassVar[int] = 2
+    elements: ClassVar[tuple[int, float]] = 4, 0.5  # of a piece with kinks, and the share of `nodes` that each has
     no_moment: ClassVar[np.ndarray] = np.zeros(())
     upright: ClassVar[np.ndarray] = np.zeros(())  # the heading at the base
     has_frames: ClassVar[bool] = False  # whether headings are unknowns of the iteration
@@ -176,6 +177,7 @@ class Space:
     """The strain is the curvature u, and v where the axis stretches; the heading is a quaternion."""
 
     components: ClassVar[int] = 3
+    elements: ClassVar[tuple[int, float]] = 3, 0.75  # more nodes each, as the derivatives of tangents need them
     no_moment: ClassVar[np.ndarray] = np.zeros(3)
     upright: ClassVar[np.ndarray] = np.array(IDENTITY)
     has_frames: ClassVar[bool] = True

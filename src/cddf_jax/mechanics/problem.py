@@ -26,7 +26,6 @@ from .geometry import PLANE, SPACE, Geometry
 Number = Float[Array, ""]
 Moment = Float[Array, "*components"]  # a number in the plane, (3,) in space
 Heading = Float[Array, "..."]  # phi, rad, in the plane; a quaternion in space
-ELEMENTS = 4  # in each smooth piece of a body whose tendons may turn to both sides
 
 
 class Joints(NamedTuple):
@@ -216,14 +215,18 @@ def lay_out(
 def elements_of(manipulator: Manipulator, nodes: int, loaded: bool, rough: bool = False) -> Elements:
     """Elements that end where the body or a tendon is not smooth.
 
-    A smooth piece whose tendons always turn to one side is one element. Otherwise it has `ELEMENTS` of half the nodes
-    each, so that a kink disturbs one of them only. For a rough problem each piece is one element.
+    A smooth piece whose tendons always turn to one side is one element. Otherwise it has several with fewer nodes each,
+    so that a kink disturbs one of them only. For a rough problem each piece is one element.
     """
     ends = joints(jnp.asarray(manipulator.length), manipulator.breakpoints)
-    kinks = geometry_of(manipulator).reverses(manipulator, loaded) or manipulator.tendon_drag is not None
+    geometry = geometry_of(manipulator)
+    kinks = geometry.reverses(manipulator, loaded) or manipulator.tendon_drag is not None
     if rough:
         return elements_between(ends, min(nodes, LARGEST_ORDER))
-    return elements_between(ends, ELEMENTS * nodes // 2, ELEMENTS) if kinks else elements_between(ends, nodes)
+    if not kinks:
+        return elements_between(ends, nodes)
+    count, share = geometry.elements
+    return elements_between(ends, count * round(share * nodes), count)
 
 
 def _outboard(manipulator: Manipulator, cut: Elements, loads: Loads | None) -> Outboard:
