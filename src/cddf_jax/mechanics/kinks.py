@@ -25,6 +25,7 @@ class Tensions(NamedTuple):
     """The tensions at the nodes of an element, on one branch, or on two that meet at a place."""
 
     branches: Float[Array, "branches p tendons"]
+    ratios: Float[Array, "branches p tendons"]  # r
     place: Number | None = None  # in [0, 1]; 1 where there is no kink
 
     def totals(
@@ -66,13 +67,13 @@ def tensions_along(section: AnySection, base_tension: PerTendon, pull: Pull, rou
     """
     size = jnp.maximum(jnp.abs(pull.ratio), jnp.finfo(pull.ratio.dtype).eps)
     if pull.spent is None or rough:
-        return Tensions(where_present(section, unspent(base_tension, pull) / size)[None])
+        return Tensions(where_present(section, unspent(base_tension, pull) / size)[None], pull.ratio[None])
     left = base_tension - pull.spent
     slack = first_root(left)
     tension = where_present(section, left / size)
     taut = left > 0
     early, late = jnp.where(slack.exists | taut[0], tension, 0.0), jnp.where(slack.exists | ~taut[-1], 0.0, tension)
-    return Tensions(jnp.stack([early, late]), jnp.min(slack.place))
+    return Tensions(jnp.stack([early, late]), jnp.stack([pull.ratio] * 2), jnp.min(slack.place))
 
 
 def reversing(
@@ -96,4 +97,4 @@ def reversing(
     beyond = jnp.asarray(gauss_rule(len(ratio)).nodes, place.dtype)[:, None] > place
     branches = jnp.stack([jnp.where(beyond, ratio - apart, ratio), jnp.where(beyond, ratio, ratio + apart)])
     size = jnp.maximum(jnp.abs(branches), jnp.finfo(ratio.dtype).eps)
-    return Tensions(where_present(section, base_tension / size), place)
+    return Tensions(where_present(section, base_tension / size), branches, place)

@@ -174,7 +174,7 @@ def _turned(
     """The gains of r, over the direction, and the wrap angle where it is asked for."""
     geometry, whole = problem.geometry, start.wrap_angle is not None
     turning = _turning(problem, part, tensions, strains, moment_rate)
-    rates = geometry.scaled(turning, ratio_factor(part.section, part.guess.ratio))
+    rates = geometry.scaled(turning, ratio_factor(part.section, tensions.ratios))
     rates = jnp.concatenate([rates, turning], axis=2) if whole else rates
     found = tensions.totals(part.width, rates, geometry.size, geometry.gains if problem.reverses else None)
     if start.wrap_angle is None:

@@ -12,6 +12,8 @@ from .problem import Method, Number, Problem, Solution, State, lay_out, nodal, s
 
 ACCURACY = 1e-5  # a solve with a larger truncation error is not called successful
 SAFETY = 5.0  # factor on the difference of two quadratures in the error estimate
+WITH_KINKS = 4.0  # times more where kinks may disturb both quadratures alike
+ITERATIONS = 4  # that find kinks again, which the polynomials of the solution have rounded off
 MORE_NODES = 3  # in each element, for the second of them
 
 
@@ -19,13 +21,11 @@ def truncation_error(problem: Problem, solution: Solution, method: Method) -> Nu
     """Estimated error of tip tension (relative), tip position (per length) and tip angle (rad), the largest.
 
     With drag, errors of the tip tension are relative to the tip tension without drag.
-    One more iteration is made with more nodes in each element, from the polynomials of the solution. By how much the
-    gains over the elements differ is summed over the elements. Where the tension may have a kink, polynomials round it
-    off, and an iteration before that one finds it again.
+    One more iteration is made with more nodes in each element, from the polynomials of the solution; several where the
+    tension may have a kink, which polynomials round off. By how much the gains over the elements differ is summed over
+    the elements.
     """
     cut, once = problem.elements, FixedPoint()
-    if not isinstance(method, FixedPoint):
-        solution = once.finish(problem, nodal(problem, solution.nodes), solution.nodes.strain)
     finer = Elements.between(cut.edges, cut.order + MORE_NODES)
     fine = lay_out(problem.manipulator, problem.base_tension, problem.direction, 0, problem.loads, finer)
     fine = eqx.tree_at(lambda fine: fine.base_moment, fine, problem.base_moment)
@@ -35,10 +35,13 @@ def truncation_error(problem: Problem, solution: Solution, method: Method) -> Nu
         found = once.finish(fine, *last)
         return (nodal(fine, found.nodes), found.nodes.strain), found
 
-    _, iterates = jax.lax.scan(again, (nodal(fine, state), state.strain), length=2 if problem.reverses else 1)
+    _, iterates = jax.lax.scan(again, (nodal(fine, state), state.strain), length=ITERATIONS if problem.reverses else 1)
     found = jax.tree.map(lambda x: x[-1], iterates)
+    if not isinstance(method, FixedPoint):  # it may have ended before it settled, which is another error
+        solution = once.finish(problem, nodal(problem, solution.nodes), solution.nodes.strain)
     missed = jnp.sum(jnp.abs(_gains(problem, found) - _gains(problem, solution)), axis=0)
-    return jnp.maximum(SAFETY * largest(missed), _unseen_turning(problem))
+    safety = SAFETY * WITH_KINKS if problem.reverses else SAFETY
+    return jnp.maximum(safety * largest(missed), _unseen_turning(problem))
 
 
 def _gains(problem: Problem, solution: Solution) -> Float[Array, "P values"]:
