@@ -30,7 +30,7 @@ COUNT = 1_024
 PULLS, FORCES = (5.0, 40.0), (0.1, 1.0)  # N: the tensions, and the largest of each component of the tip force
 NODES, EXACT = (16, 8), 2048  # of `solve`, and the steps of the reference
 STEPS = {16: 1e-9, 32: 1e-9, 128: 1e-11, 512: 1e-12, EXACT: 1e-12}  # of RK4, and the moment left at the tip, N m
-SHOTS, PASSES, DIFFERENCE = 40, 3, 1e-6
+SHOTS, ITERATIONS, DIFFERENCE = 40, 3, 1e-6
 TWIST = 2.0 / 3.0  # G J_polar over E J where Poisson's ratio is 0.5
 
 
@@ -81,7 +81,7 @@ def rate(state, bend, slope, mu, y, z, moment, force, u, work, out):
     """T', q' and r' where E J is `bend` and its derivative `slope`; u is a guess, and then the curvature.
 
     K u + sum T rho x t = R^T M with M = M(0) - r x F tells u, and its derivative along the body u'. The rate of a
-    tension T' = -mu |t' + u x t| T depends on u', and u' on T': some passes find both.
+    tension T' = -mu |t' + u x t| T depends on u', and u' on T': a few iterations find both.
     """
     H, right, more, t, b = work[0:3], work[3], work[4], work[5:8], work[8:11]
     q0, q1, q2, q3 = state[3], state[4], state[5], state[6]
@@ -115,7 +115,7 @@ def rate(state, bend, slope, mu, y, z, moment, force, u, work, out):
     f1, f2 = y0 * force[0] + y1 * force[1] + y2 * force[2], z0 * force[0] + z1 * force[1] + z2 * force[2]
     m0, m1, m2 = u[2] * m1 - u[1] * m2, u[0] * m2 - u[2] * m0 + f2, u[1] * m0 - u[0] * m1 - f1  # their derivatives
     more[:] = 0.0  # u'; T' without it is the start
-    for k in range(PASSES + 1):
+    for k in range(ITERATIONS + 1):
         for i in range(3):
             w0, w1, w2 = more[1] * z[i] - more[2] * y[i], -more[0] * z[i], more[0] * y[i]
             along = w0 * t[i, 0] + w1 * t[i, 1] + w2 * t[i, 2]
@@ -123,7 +123,7 @@ def rate(state, bend, slope, mu, y, z, moment, force, u, work, out):
             c1 = (w1 - along * t[i, 1]) / t[i, 3] + u[2] * t[i, 0] - u[0] * t[i, 2]
             c2 = (w2 - along * t[i, 2]) / t[i, 3] + u[0] * t[i, 1] - u[1] * t[i, 0]
             out[i] = -mu * np.sqrt(c0 * c0 + c1 * c1 + c2 * c2) * state[i]
-        if k < PASSES:
+        if k < ITERATIONS:
             right[0], right[1], right[2] = m0 - TWIST * slope * u[0], m1 - slope * u[1], m2 - slope * u[2]
             for i in range(3):
                 for j in range(3):

@@ -61,7 +61,7 @@ class BodyView:
 
     @cached_property
     def elements(self) -> Elements:
-        """Panels that end where quantities are not smooth: those of the equilibrium, else between the joints."""
+        """Elements that end where quantities are not smooth: those of the equilibrium, else between the joints."""
         if self.solution is not None:
             return self.solution.elements
         return elements_between(joints(jnp.asarray(self.body.length), self.body.breakpoints), BODY_NODES)

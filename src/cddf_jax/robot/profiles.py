@@ -2,7 +2,7 @@
 
 A profile is any pytree that is callable on arc lengths s (m), element by element. Its numbers may be traced,
 differentiated and vmapped over. A profile with kinks or jumps lists their arc lengths in `breakpoints`, so that the
-solver ends its panels there.
+solver ends its elements there.
 """
 
 from collections.abc import Callable, Sequence
