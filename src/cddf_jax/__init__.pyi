@@ -47,7 +47,7 @@ from .measurements.table import Measurements as Measurements, read_measurements 
 from .measurements.trials import read_tables as read_tables
 from .mechanics.capstan import closed_form_tension as closed_form_tension, pulling_tension as pulling_tension
 from .mechanics.fields import Fields as Fields, SpatialFields as SpatialFields
-from .mechanics.fixed_point import FixedPoint as FixedPoint
+from .mechanics.march import FixedPoint as FixedPoint
 from .progress import show_progress as show_progress
 from .reports.export import as_dataset as as_dataset, as_frame as as_frame
 from .reports.fit_report import write_fit as write_fit

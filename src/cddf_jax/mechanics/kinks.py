@@ -10,10 +10,21 @@ another sign change the wrap angle is divided as well, but the branches are not.
 from collections.abc import Callable
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..numerics.elements import Totals, first_root, gains, gauss_rule, sums, switched, totals
+from ..numerics.elements import (
+    Totals,
+    first_root,
+    gains,
+    gauss_rule,
+    sums,
+    switched,
+    total_to,
+    total_to_root,
+    totals,
+)
 from ..robot.cross_section import AnySection, where_present
 from .friction import PerTendon, Pull, unspent
 
@@ -76,25 +87,36 @@ def tensions_along(section: AnySection, base_tension: PerTendon, pull: Pull, rou
     return Tensions(jnp.stack([early, late]), jnp.stack([pull.ratio] * 2), jnp.min(slack.place))
 
 
-def reversing(
-    section: AnySection, base_tension: PerTendon, ratio: Array, direction: PerTendon, growth: Array
+def with_smooth_ratios(
+    tensions: Tensions, section: AnySection, base_tension: PerTendon, pull: Pull, direction: PerTendon, growth: Array
 ) -> Tensions:
-    """The tensions along an element without drag in which tendons may turn over.
+    """The tensions along an element, whose branches of r are continued smoothly beyond the place where they meet.
 
-    Beyond the place z where r' / direction = |g| has a kink, the branches of r differ by 2 |integral of g from z|.
+    Where no tendon is slack, the branches meet where a tendon turns over.
 
     Args:
-        section: at its nodes.
+        tensions: with r as it is.
+        section: at the nodes of the element.
         base_tension: T_base, N.
-        ratio: r at the nodes.
+        pull: the integrated friction there.
         direction: of the tendons.
-        growth: g, over an element of width 1, at the nodes.
+        growth: the signed r' over the direction, for an element of width 1, on each branch.
     """
-    turn = first_root(growth)
-    place = jnp.min(turn.place)
-    apart = 2.0 * direction * jnp.abs(totals(jnp.ones_like(place), growth)[0] - turn.total)
-    apart = jnp.where(turn.exists & (turn.place <= place + TOGETHER), apart, 0.0)
-    beyond = jnp.asarray(gauss_rule(len(ratio)).nodes, place.dtype)[:, None] > place
-    branches = jnp.stack([jnp.where(beyond, ratio - apart, ratio), jnp.where(beyond, ratio, ratio + apart)])
-    size = jnp.maximum(jnp.abs(branches), jnp.finfo(ratio.dtype).eps)
-    return Tensions(where_present(section, base_tension / size), branches, place)
+    ratio, nodes = pull.ratio, jnp.asarray(gauss_rule(len(pull.ratio)).nodes, pull.ratio.dtype)[:, None]
+    if tensions.place is None:
+        turn, rate = first_root(growth[0]), growth[0]
+        place = jax.lax.stop_gradient(jnp.min(turn.place))  # no integral changes with it
+        apart = 2.0 * direction * jnp.abs(totals(jnp.ones_like(place), rate)[0] - total_to_root(rate))
+        apart = jnp.where(turn.exists & (turn.place <= place + TOGETHER), apart, 0.0)
+    else:
+        place = tensions.place
+        rate = direction * (jnp.sign(growth[1, -1]) * growth[1] - jnp.sign(growth[0, 0]) * growth[0])
+        apart = totals(jnp.ones_like(place), rate)[0] - total_to(rate, place)
+        apart = jnp.where(place < 1, apart, 0.0)
+    ratios = jnp.stack([jnp.where(nodes > place, ratio - apart, ratio), jnp.where(nodes > place, ratio, ratio + apart)])
+    size = jnp.maximum(jnp.abs(ratios), jnp.finfo(ratio.dtype).eps)
+    if tensions.place is None:
+        return Tensions(where_present(section, base_tension / size), ratios, place)
+    taut = jnp.where(tensions.branches != 0, 1.0, 0.0)
+    left = base_tension - (0.0 if pull.spent is None else pull.spent)
+    return Tensions(where_present(section, taut * left / size), ratios, place)

@@ -23,7 +23,7 @@ from ..numerics.rotations import about, direction_of, parts_of, product, sum_of,
 from ..robot.cross_section import AnySection, spatial, where_present
 from . import space
 from .friction import PerTendon, Pull, is_proportional, ratio_beyond, ratio_factor, spent_rate
-from .kinks import Tensions, reversing, tensions_along
+from .kinks import Tensions, tensions_along, with_smooth_ratios
 from .problem import (
     Joints,
     Nodal,
@@ -103,9 +103,10 @@ def _at_base(problem: Problem, whole: bool) -> State:
 def _along_element(problem: Problem, start: State, part: Part) -> tuple[State, State, Array]:
     """The states at the nodes and at the end of an element, and the elastic strain at the nodes."""
     spent = _onwards(start.pull.spent, part.width, spent_rate(problem.direction, part.section, part.guess.ratio))
-    tensions = tensions_along(part.section, problem.base_tension, Pull(part.guess.ratio, spent[0]), problem.rough)
+    pull = Pull(part.guess.ratio, spent[0])
+    tensions = tensions_along(part.section, problem.base_tension, pull, problem.rough)
     if problem.turns_over:
-        tensions = _reversing(problem, start, part, tensions)
+        tensions = _smooth(problem, start, part, tensions, pull)
     strains = _strains(problem, part, tensions)
     heading, axis, moment_rate = _headings(problem, start, part, tensions, strains)
     growth, wrap = _turned(problem, start, part, tensions, strains, moment_rate)
@@ -159,13 +160,13 @@ def _turning(problem: Problem, part: Part, tensions: Tensions, strains: Array, m
     return jax.vmap(on_branch)(strains, tensions.branches)
 
 
-def _reversing(problem: Problem, start: State, part: Part, tensions: Tensions) -> Tensions:
-    """The tensions along an element with the kink where a tendon turns over."""
+def _smooth(problem: Problem, start: State, part: Part, tensions: Tensions, pull: Pull) -> Tensions:
+    """The tensions along an element in which tendons may turn over or become slack."""
     strains = _strains(problem, part, tensions)
     moment_rate = _headings(problem, start, part, tensions, strains)[2]
-    turning = _turning(problem, part, tensions, strains, moment_rate)[0]
-    growth = part.width * ratio_factor(part.section, part.guess.ratio) * turning
-    return reversing(part.section, problem.base_tension, part.guess.ratio, problem.direction, growth)
+    turning = _turning(problem, part, tensions, strains, moment_rate)
+    growth = part.width * ratio_factor(part.section, pull.ratio) * turning
+    return with_smooth_ratios(tensions, part.section, problem.base_tension, pull, problem.direction, growth)
 
 
 def _turned(

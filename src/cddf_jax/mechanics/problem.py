@@ -87,8 +87,9 @@ class Problem(eqx.Module):
 
     @property
     def turns_over(self) -> bool:
-        """Whether the tension may have a kink where a tendon turns over; static. With drag only the wrap angle has."""
-        return self.reverses and not self.geometry.has_frames and self.manipulator.tendon_drag is None
+        """Whether a tension in the plane may have a kink, where a tendon turns over or becomes slack; static."""
+        kinks = self.reverses or (self.manipulator.tendon_drag is not None and not self.rough)
+        return kinks and not self.geometry.has_frames
 
     @property
     def is_quadrature(self) -> bool:

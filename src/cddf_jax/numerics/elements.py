@@ -175,20 +175,37 @@ class Root(NamedTuple):
 
     exists: Bool[Array, "*k"]
     place: Float[Array, "*k"]  # in [0, 1]; 1 where there is none
-    total: Float[Array, "*k"]  # the integral up to there, over an element of width 1
 
 
 def first_root(values: Float[Array, "p *k"]) -> Root:
     """The first change of sign of functions, with derivatives of any order."""
     rule = gauss_rule(values.shape[0])
-    curve = times(rule.quartics, values)
-    crosses, root = _roots(curve)
+    crosses, root = _roots(times(rule.quartics, values))
     count = times(np.tril(np.ones((len(crosses), len(crosses)))), crosses.astype(values.dtype))
-    first, step = crosses & (count < 1.5), _along(rule.step, root)
-    total = times(rule.totals - rule.gains, values) + step * _integral(curve, root)
+    first = crosses & (count < 1.5)
+    place = _along(rule.points[:-1], root) + _along(rule.step, root) * root
     exists = jnp.any(first, axis=0)
-    place = jnp.sum(jnp.where(first, _along(rule.points[:-1], root) + step * root, 0.0), axis=0)
-    return Root(exists, jnp.where(exists, place, 1.0), jnp.sum(jnp.where(first, total, 0.0), axis=0))
+    return Root(exists, jnp.where(exists, jnp.sum(jnp.where(first, place, 0.0), axis=0), 1.0))
+
+
+def total_to(values: Float[Array, "p *k"], place: Float[Array, "*k"]) -> Float[Array, "*k"]:
+    """The integral from the start of an element of width 1 to a place in [0, 1]."""
+    rule = gauss_rule(values.shape[0])
+    step = jnp.asarray(rule.step.reshape(-1, *[1] * (values.ndim - 1)), values.dtype)
+    t = (place - jnp.asarray(rule.points[:-1].reshape(step.shape), values.dtype)) / step
+    parts = step * _integral(times(rule.quartics, values), jnp.clip(t, 0.0, 1.0))
+    return jnp.sum(jnp.where(t >= 1, gains(values), parts), axis=0)
+
+
+@jax.custom_jvp
+def total_to_root(values: Float[Array, "p *k"]) -> Float[Array, "*k"]:
+    """The integral from the start of an element of width 1 to the first root. The root moves, but there it is zero."""
+    return total_to(values, first_root(values).place)
+
+
+@total_to_root.defjvp
+def _(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
+    return total_to_root(*primals), total_to(*tangents, first_root(*primals).place)
 
 
 def switched(

@@ -18,6 +18,7 @@ from ..mechanics.problem import Method, Problem, Solution, all_points, line_up
 from ..mechanics.tendon_displacement import tendon_displacement
 from ..mechanics.truncation_error import ACCURACY, truncation_error
 from ..numerics.arrays import zero_as
+from ..numerics.fixed_point import without_derivative
 from ..programs.kept import kept_program
 from ..robot.cross_section import planar
 from ..robot.loads import Loads, loads_in_space
@@ -177,7 +178,7 @@ def _solve(
     solved = physical & balance.load_path.converged
     at_tip = unspent(problem.base_tension, solution.tip.pull) / solution.tip.ratio
     contradicted = solved & is_contradicted(problem.direction, balance.travel, problem.elements.edges[-1])
-    truncation = balance.error_amplification * truncation_error(problem, solution, method)
+    truncation = balance.error_amplification * truncation_error(*without_derivative((problem, solution)), method)
     crossing = jnp.any(inside_of_bend(problem, solution) >= 1.0)
     round_off = 4 * float(jnp.finfo(truncation.dtype).eps)
     dense = Dense(
