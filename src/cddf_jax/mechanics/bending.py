@@ -127,11 +127,12 @@ def rates(
     tension: PerTendon,
     direction: PerTendon,
     external_moment_rate: float | Number = 0.0,
+    sign: PerTendon | None = None,
 ) -> Rates:
     """The rates kappa' and psi' from the derivative of the equilibrium along s, with the T' of `tension_rate`.
 
     In the exact kinematics psi' of a slanted tendon contains kappa', which contains T'. The
-    equation is linear once the signs of psi' are known. The first signs are those without friction.
+    equation is linear once the signs of psi' are known. Unless they are given, the first are those without friction.
     """
     t = tangent(section, curvature)
     arm = section.side * section.offset
@@ -147,6 +148,8 @@ def rates(
         kappa_rate = (force - jnp.sum(friction * t.turning)) / (stiffness + jnp.sum(friction * t.turning_slope))
         return Rates(kappa_rate, t.turning + t.turning_slope * kappa_rate)
 
+    if sign is not None:
+        return with_signs(sign)
     if _turns_with_the_body(section):
         return with_signs(jnp.sign(t.turning))
     frictionless = with_signs(jnp.zeros_like(t.turning))
@@ -159,6 +162,7 @@ def turning(
     tension: PerTendon,
     direction: PerTendon,
     external_moment_rate: float | Number = 0.0,
+    sign: PerTendon | None = None,
 ) -> PerTendon:
     """The rate psi' of each tendon, rad/m, which friction needs; zero beyond its anchor.
 
@@ -167,7 +171,7 @@ def turning(
     if _turns_with_the_body(section):
         rate = tangent(section, curvature).turning
     else:
-        rate = rates(section, curvature, tension, direction, external_moment_rate).turning
+        rate = rates(section, curvature, tension, direction, external_moment_rate, sign).turning
     return where_present(section, rate)
 
 

@@ -111,11 +111,15 @@ class Plane:
         tension: Array,
         direction: PerTendon,
         moment_rate: Array | None,
+        sign: PerTendon | None = None,
     ) -> Float[Array, "p tendons"]:
-        """The signed rate psi' of each tendon at the nodes of an element, rad/m."""
+        """The signed rate psi' of each tendon at the nodes of an element, rad/m.
+
+        `sign`: of psi', with which friction acts; None to find it.
+        """
         by_loads = jnp.zeros_like(strain) if moment_rate is None else moment_rate
-        at_nodes = jax.vmap(bending.turning, (0, 0, 0, None, 0))
-        return at_nodes(planar(section), strain, tension, direction, by_loads)
+        at_nodes = jax.vmap(bending.turning, (0, 0, 0, None, 0, None))
+        return at_nodes(planar(section), strain, tension, direction, by_loads, sign)
 
     def scaled(self, turning: Array, factor: Array) -> Array:
         """The turning of each tendon times a factor."""
@@ -244,6 +248,7 @@ class Space:
         tension: Array,
         direction: PerTendon,
         moment_rate: Array | None,
+        sign: PerTendon | None = None,
     ) -> Float[Array, "p tendons 3"]:
         """The vectors by which the tangents of the tendons turn; t' is that of the polynomial through the nodes."""
         section = spatial(section)

@@ -29,7 +29,7 @@ from ..robot.cross_section import AnySection, where_present
 from .friction import PerTendon, Pull, unspent
 
 Number = Float[Array, ""]
-TOGETHER = 1e-9  # of an element: tendons that turn over at a smaller distance do so at one place
+TOGETHER = 0.1  # of an element: tendons that turn over at a smaller distance are taken to do so at one place
 
 
 class Tensions(NamedTuple):
@@ -38,6 +38,7 @@ class Tensions(NamedTuple):
     branches: Float[Array, "branches p tendons"]
     ratios: Float[Array, "branches p tendons"]  # r
     place: Number | None = None  # in [0, 1]; 1 where there is no kink
+    signs: Float[Array, "branches tendons"] | None = None  # of psi'; None where they are not known
 
     def totals(
         self,
@@ -107,7 +108,8 @@ def with_smooth_ratios(
         turn, rate = first_root(growth[0]), growth[0]
         place = jax.lax.stop_gradient(jnp.min(turn.place))  # no integral changes with it
         apart = 2.0 * direction * jnp.abs(totals(jnp.ones_like(place), rate)[0] - total_to_root(rate))
-        apart = jnp.where(turn.exists & (turn.place <= place + TOGETHER), apart, 0.0)
+        over = turn.exists & (turn.place <= place + TOGETHER)
+        apart = jnp.where(over, apart, 0.0)
     else:
         place = tensions.place
         rate = direction * (jnp.sign(growth[1, -1]) * growth[1] - jnp.sign(growth[0, 0]) * growth[0])
@@ -116,7 +118,9 @@ def with_smooth_ratios(
     ratios = jnp.stack([jnp.where(nodes > place, ratio - apart, ratio), jnp.where(nodes > place, ratio, ratio + apart)])
     size = jnp.maximum(jnp.abs(ratios), jnp.finfo(ratio.dtype).eps)
     if tensions.place is None:
-        return Tensions(where_present(section, base_tension / size), ratios, place)
+        early = jnp.where(growth[0, 0] < 0, -1.0, 1.0)
+        signs = jnp.stack([early, jnp.where(over, -early, early)])
+        return Tensions(where_present(section, base_tension / size), ratios, place, signs)
     taut = jnp.where(tensions.branches != 0, 1.0, 0.0)
     left = base_tension - (0.0 if pull.spent is None else pull.spent)
     return Tensions(where_present(section, taut * left / size), ratios, place)

@@ -154,10 +154,11 @@ def _headings(
 def _turning(problem: Problem, part: Part, tensions: Tensions, strains: Array, moment_rate: Array | None) -> Array:
     """The turning of the tendons at the nodes of an element, on each branch."""
 
-    def on_branch(strain: Array, tension: Array) -> Array:
-        return problem.geometry.turning(part.width, part.section, strain, tension, problem.direction, moment_rate)
+    def on_branch(strain: Array, tension: Array, sign: Array | None) -> Array:
+        given = strain, tension, problem.direction, moment_rate, sign
+        return problem.geometry.turning(part.width, part.section, *given)
 
-    return jax.vmap(on_branch)(strains, tensions.branches)
+    return jax.vmap(on_branch)(strains, tensions.branches, tensions.signs)
 
 
 def _smooth(problem: Problem, start: State, part: Part, tensions: Tensions, pull: Pull) -> Tensions:
