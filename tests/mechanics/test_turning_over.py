@@ -109,7 +109,7 @@ def test_antagonists_of_changing_advantage(kinematics, case, direction):
     if kinematics == "published":
         # one shape for every case
         at = fields_at(solution, jnp.asarray(np.resize(reference.turning_points, 2)))
-        np.testing.assert_allclose(at.curvature, 0.0, atol=1e-5 * np.max(np.abs(reference.curvature)))
+        np.testing.assert_allclose(at.curvature, 0.0, atol=1e-4 * np.max(np.abs(reference.curvature)))
     along = fields_at(solution, solution.arc_length)
     for name in ("curvature", "heading", "position", "tension", "wrap_angle", "friction_force"):
         ours, theirs = getattr(solution, name), getattr(along, name)

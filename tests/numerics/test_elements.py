@@ -13,7 +13,6 @@ from cddf_jax.numerics.elements import (
     elements_between,
     gains_of_length,
     gains_of_magnitude,
-    joints,
     sums,
     totals,
 )
@@ -40,7 +39,7 @@ def test_the_rule_of_the_check_finds_what_the_nodes_miss():
 
 def test_elements_of_equal_width_between_joints():
     """By hand: two pieces of 40 nodes each, in elements of at most 16; a breakpoint beyond the body lies at its end."""
-    ends = joints(jnp.asarray(1.0), jnp.array([0.25, 7.0]))
+    ends = smooth_pieces(jnp.asarray(1.0), jnp.array([0.25, 7.0]))
     assert_allclose(ends, [0.0, 0.25, 1.0, 1.0])
     cut = elements_between(ends[:3], 40)
     assert cut.order == 14

@@ -99,7 +99,7 @@ def test_a_backbone_with_discs_against_scipy_and_its_lanes():
     assert np.all(np.isnan(found[1:4]))
     np.testing.assert_allclose(found[0], reference(), rtol=1e-8)
     np.testing.assert_allclose(found[4], found[5], rtol=1e-10)  # the weight of a mass at the tip is a force there
-    np.testing.assert_allclose(found[6], found[7], rtol=1e-10)
+    np.testing.assert_allclose(found[6], found[7], rtol=1e-8)  # elements and a kink lie elsewhere
 
 
 @pytest.mark.slow

@@ -151,10 +151,10 @@ def test_one_number_serves_every_tendon():
 
 
 def test_shapes(pair):
-    assert pair.arc_length.shape == pair.curvature.shape == pair.heading.shape == (18,)
-    assert pair.position.shape == (18, 2)
-    assert pair.tension.shape == pair.wrap_angle.shape == (2, 18)
-    assert pair.normal_force.shape == pair.friction_force.shape == (2, 18, 2)
+    assert pair.arc_length.shape == pair.curvature.shape == pair.heading.shape == (34,)
+    assert pair.position.shape == (34, 2)
+    assert pair.tension.shape == pair.wrap_angle.shape == (2, 34)
+    assert pair.normal_force.shape == pair.friction_force.shape == (2, 34, 2)
     for value in (pair.tip_tension, pair.tension_loss, pair.tendon_displacement, pair.direction_contradicted):
         assert value.shape == (2,)
     assert pair.tip_position.shape == (2,)

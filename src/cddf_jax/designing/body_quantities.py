@@ -17,7 +17,7 @@ from ..history.history import History
 from ..history.stepped import angles_along
 from ..history.trace import trace
 from ..mechanics.fields import AnyFields
-from ..numerics.elements import Elements, elements_between, joints
+from ..numerics.elements import Elements, elements_between, smooth_pieces
 from ..quantities import dimension_of
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
@@ -64,7 +64,7 @@ class BodyView:
         """Elements that end where quantities are not smooth: those of the equilibrium, else between the joints."""
         if self.solution is not None:
             return self.solution.elements
-        return elements_between(joints(jnp.asarray(self.body.length), self.body.breakpoints), BODY_NODES)
+        return elements_between(smooth_pieces(jnp.asarray(self.body.length), self.body.breakpoints), BODY_NODES)
 
     def moved(self, arc_length: Float[Array | np.ndarray, " points"]) -> "BodyView":
         """The same body at other arc lengths."""

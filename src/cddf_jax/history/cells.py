@@ -18,7 +18,7 @@ from ..mechanics.bending import slip_rate
 from ..mechanics.friction import PerTendon, ratio_beyond, tension_rate
 from ..mechanics.geometry import PLANE, axis_of
 from ..mechanics.problem import Problem, guarded_section, lay_out
-from ..numerics.elements import Elements, joints
+from ..numerics.elements import Elements, smooth_pieces
 from ..robot.cross_section import CrossSection, planar, where_present
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
@@ -111,7 +111,7 @@ def _laid_out(manipulator: Manipulator, loads: Loads | None, count: int, merged:
     places = jnp.arange(1, count)
     splits = jnp.asarray(manipulator.length) * ((places - merged * (places % 2)) / count)
     still = jnp.zeros(manipulator.num_tendons, splits.dtype)
-    ends = joints(jnp.asarray(manipulator.length), jnp.concatenate([manipulator.breakpoints, splits]))
+    ends = smooth_pieces(jnp.asarray(manipulator.length), jnp.concatenate([manipulator.breakpoints, splits]))
     cut = Elements.between(ends, 3)  # the second of three Gauss nodes is the middle
     return lay_out(manipulator, still, still, 3, loads, cut)
 

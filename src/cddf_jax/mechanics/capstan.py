@@ -9,7 +9,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 
-from ..numerics.elements import Elements, elements_between, gauss_rule, joints
+from ..numerics.elements import Elements, elements_between, gauss_rule, smooth_pieces
 from ..numerics.given_numbers import check_numbers
 from ..robot.manipulator import Manipulator
 from ..robot.profiles import Constant, Linear, Profile
@@ -50,7 +50,7 @@ def closed_form_tension(
         raise ValueError(f"closed_form_tension: a tendon cannot push, got base_tension {base_tension}")
     s = jnp.asarray(arc_length, float)
     length = jnp.asarray(manipulator.length, s.dtype)
-    whole = elements_between(joints(length, manipulator.breakpoints), nodes)
+    whole = elements_between(smooth_pieces(length, manipulator.breakpoints), nodes)
     reach = s if tendon.end is None else jnp.minimum(s, tendon.end)
     compliance = _integral_up_to(whole, lambda x: manipulator.offset(x)[0] / manipulator.stiffness(x), reach)
     ratio = 1.0 + manipulator.tendon_friction[0] * base_tension * compliance

@@ -10,7 +10,6 @@ another sign change the wrap angle is divided as well, but the branches are not.
 from collections.abc import Callable
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -84,8 +83,8 @@ def tensions_along(section: AnySection, base_tension: PerTendon, pull: Pull, rou
     slack = first_root(left)
     tension = where_present(section, left / size)
     taut = left > 0
-    early, late = jnp.where(slack.exists | taut[0], tension, 0.0), jnp.where(slack.exists | ~taut[-1], 0.0, tension)
-    return Tensions(jnp.stack([early, late]), jnp.stack([pull.ratio] * 2), jnp.min(slack.place))
+    early, late = jnp.where((slack < 1) | taut[0], tension, 0.0), jnp.where((slack < 1) | ~taut[-1], 0.0, tension)
+    return Tensions(jnp.stack([early, late]), jnp.stack([pull.ratio] * 2), jnp.min(slack))
 
 
 def with_smooth_ratios(
@@ -105,10 +104,10 @@ def with_smooth_ratios(
     """
     ratio, nodes = pull.ratio, jnp.asarray(gauss_rule(len(pull.ratio)).nodes, pull.ratio.dtype)[:, None]
     if tensions.place is None:
-        turn, rate = first_root(growth[0]), growth[0]
-        place = jax.lax.stop_gradient(jnp.min(turn.place))  # no integral changes with it
+        rate, turns_at = growth[0], first_root(growth[0])
+        place = jnp.min(turns_at)
         apart = 2.0 * direction * jnp.abs(totals(jnp.ones_like(place), rate)[0] - total_to_root(rate))
-        over = turn.exists & (turn.place <= place + TOGETHER)
+        over = (turns_at < 1) & (turns_at <= place + TOGETHER)
         apart = jnp.where(over, apart, 0.0)
     else:
         place = tensions.place

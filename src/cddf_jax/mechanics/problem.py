@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ..numerics.arrays import zero_as
-from ..numerics.elements import LARGEST_ORDER, Elements, elements_between, joints
+from ..numerics.elements import LARGEST_ORDER, Elements, elements_between, smooth_pieces
 from ..numerics.fixed_point import without_derivative
 from ..robot.cross_section import AnySection, SpatialSection, where_present
 from ..robot.loads import Loads, force_at_points, force_per_length
@@ -219,7 +219,7 @@ def elements_of(manipulator: Manipulator, nodes: int, loaded: bool, rough: bool 
     A smooth piece whose tendons always turn to one side is one element. Otherwise it has several with fewer nodes each,
     so that a kink disturbs one of them only. For a rough problem each piece is one element.
     """
-    ends = joints(jnp.asarray(manipulator.length), manipulator.breakpoints)
+    ends = smooth_pieces(jnp.asarray(manipulator.length), manipulator.breakpoints)
     geometry = geometry_of(manipulator)
     kinks = geometry.reverses(manipulator, loaded) or manipulator.tendon_drag is not None
     if rough:

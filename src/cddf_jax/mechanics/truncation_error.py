@@ -12,7 +12,7 @@ from .problem import Method, Number, Problem, Solution, State, lay_out, nodal, s
 
 ACCURACY = 1e-5  # a solve with a larger truncation error is not called successful
 SAFETY = 5.0  # factor on the difference of two quadratures in the error estimate
-WITH_KINKS = 4.0  # times more where kinks may disturb both quadratures alike
+WITH_KINKS = 2.0  # times more where kinks may disturb both quadratures alike
 ITERATIONS = 4  # that find kinks again, which the polynomials of the solution have rounded off
 MORE_NODES = 3  # in each element, for the second of them
 

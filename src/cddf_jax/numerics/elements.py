@@ -170,42 +170,53 @@ def _roots(curve: Quartic) -> tuple[Bool[Array, "q *k"], Float[Array, "q *k"]]:
     return crosses, newton(curve, newton(jax.lax.stop_gradient(curve), start))
 
 
-class Root(NamedTuple):
-    """The first root of each function in an element."""
-
-    exists: Bool[Array, "*k"]
-    place: Float[Array, "*k"]  # in [0, 1]; 1 where there is none
-
-
-def first_root(values: Float[Array, "p *k"]) -> Root:
-    """The first change of sign of functions, with derivatives of any order."""
+@jax.custom_jvp
+def first_root(values: Float[Array, "p *k"]) -> Float[Array, "*k"]:
+    """The first place in [0, 1] where functions change their sign; 1 where they do not. Derivatives of any order."""
     rule = gauss_rule(values.shape[0])
     crosses, root = _roots(times(rule.quartics, values))
     count = times(np.tril(np.ones((len(crosses), len(crosses)))), crosses.astype(values.dtype))
     first = crosses & (count < 1.5)
     place = _along(rule.points[:-1], root) + _along(rule.step, root) * root
-    exists = jnp.any(first, axis=0)
-    return Root(exists, jnp.where(exists, jnp.sum(jnp.where(first, place, 0.0), axis=0), 1.0))
+    return jnp.where(jnp.any(first, axis=0), jnp.sum(jnp.where(first, place, 0.0), axis=0), 1.0)
+
+
+@first_root.defjvp
+def _(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
+    (values,), (change,) = primals, tangents
+    place = first_root(values)
+    rule, inside, t = _around(values, place)
+    height, rise = (_value(times(rule.quartics, change), t), _rate(times(rule.quartics, values), t))
+    moved = -_along(rule.step, rise) * height / jnp.where(rise == 0, 1.0, rise)
+    return place, jnp.where(place < 1, jnp.sum(jnp.where(inside, moved, 0.0), axis=0), 0.0)
+
+
+def _around(values: Float[Array, "p *k"], place: Float[Array, "*k"]) -> tuple[Rule, Array, Array]:
+    """The rule, and for each sub-interval whether it holds the place, and where in it the place is, from 0 to 1."""
+    rule = gauss_rule(values.shape[0])
+    shape = -1, *[1] * (values.ndim - 1)
+    starts, step = (jnp.asarray(x.reshape(shape), values.dtype) for x in (rule.points[:-1], rule.step))
+    t = (place - starts) / step
+    return rule, (t > 0) & (t <= 1), t
 
 
 def total_to(values: Float[Array, "p *k"], place: Float[Array, "*k"]) -> Float[Array, "*k"]:
     """The integral from the start of an element of width 1 to a place in [0, 1]."""
-    rule = gauss_rule(values.shape[0])
-    step = jnp.asarray(rule.step.reshape(-1, *[1] * (values.ndim - 1)), values.dtype)
-    t = (place - jnp.asarray(rule.points[:-1].reshape(step.shape), values.dtype)) / step
-    parts = step * _integral(times(rule.quartics, values), jnp.clip(t, 0.0, 1.0))
+    rule, _, t = _around(values, place)
+    parts = _integral(times(rule.quartics, values), jnp.clip(t, 0.0, 1.0))
+    parts = parts * jnp.asarray(rule.step.reshape(-1, *[1] * (values.ndim - 1)), values.dtype)
     return jnp.sum(jnp.where(t >= 1, gains(values), parts), axis=0)
 
 
 @jax.custom_jvp
 def total_to_root(values: Float[Array, "p *k"]) -> Float[Array, "*k"]:
     """The integral from the start of an element of width 1 to the first root. The root moves, but there it is zero."""
-    return total_to(values, first_root(values).place)
+    return total_to(values, first_root(values))
 
 
 @total_to_root.defjvp
 def _(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
-    return total_to_root(*primals), total_to(*tangents, first_root(*primals).place)
+    return total_to_root(*primals), total_to(*tangents, first_root(*primals))
 
 
 def switched(
@@ -393,22 +404,22 @@ def slope_in_element(width: Float[Array, ""], values: Float[Array, "p *k"]) -> F
     return times(gauss_rule(values.shape[0]).differentiation, values) / jnp.where(width > 0, width, 1.0)
 
 
-def joints(length: Float[Array, ""], breakpoints: Float[Array, " n"]) -> Float[Array, " joints"]:
+def smooth_pieces(length: Float[Array, ""], breakpoints: Float[Array, " n"]) -> Float[Array, " ends"]:
     """Base, breakpoints and tip in increasing order. A breakpoint at an end of the body keeps its own derivative."""
     breaks = breakpoints.astype(length.dtype)
     breaks = jnp.where(breaks > length, length, jnp.where(breaks < 0, 0.0, breaks))
     return jnp.sort(jnp.concatenate([jnp.zeros_like(length)[None], breaks, length[None]]))
 
 
-def elements_between(joints: Float[Array, " joints"], nodes: int, least: int = 1) -> Elements:
-    """At least `least` elements of equal width between neighbouring joints, with at least `nodes` nodes together.
+def elements_between(ends: Float[Array, " ends"], nodes: int, least: int = 1) -> Elements:
+    """At least `least` elements of equal width between neighbouring ends, with at least `nodes` nodes together.
 
     One element of 16 nodes is far more accurate for a smooth body than two of 8.
     """
     count = max(least, -(-nodes // LARGEST_ORDER))
     order = -(-nodes // count)
     if count == 1:
-        return Elements.between(joints, order)
+        return Elements.between(ends, order)
     fraction = jnp.arange(count) / count
-    starts = joints[:-1, None] + jnp.diff(joints)[:, None] * fraction.astype(joints.dtype)
-    return Elements.between(jnp.concatenate([starts.ravel(), joints[-1:]]), order)
+    starts = ends[:-1, None] + jnp.diff(ends)[:, None] * fraction.astype(ends.dtype)
+    return Elements.between(jnp.concatenate([starts.ravel(), ends[-1:]]), order)

@@ -11,7 +11,8 @@ from jaxtyping import Array, Float
 
 from ..mechanics.directions import travel_under_tension
 from ..mechanics.friction import PerTendon
-from ..mechanics.problem import Nodal, Number, Problem, Solution, State, all_points, nodal, strain_of, unbent
+from ..mechanics.geometry import SPACE
+from ..mechanics.problem import Nodal, Number, Problem, Solution, State, all_points, nodal, strain_of
 from ..mechanics.tendon_displacement import tendon_displacement
 from ..numerics.fixed_point import Unknowns, implicit, without_derivative
 from ..robot.cross_section import AnySection, where_present
@@ -115,7 +116,7 @@ def balance(
         equations: the residuals of the targets that are zero at these tensions, one for each; a pytree, see `implicit`.
         whole: whether the equations need frame and position.
     """
-    system = System(setup, base_tension, _where_found(setup, base_tension, settled), equations, unknown, whole)
+    system = System(setup, base_tension, _where_found(settled), equations, unknown, whole)
     found, values = settled.load_path, system.settled.values
     root = system.root
     if values is not None or unknown:
@@ -136,13 +137,16 @@ def balance(
     return Balance(problem, solution, found, settled.travel, grown)
 
 
-def _where_found(setup: Setup, base_tension: PerTendon, settled: Settled) -> Settled:
-    """With finite values in a lane of a batch that found none."""
+def _where_found(settled: Settled) -> Settled:
+    """With the values of the body without friction and loads in a lane of a batch that found none."""
     if settled.values is None:
         return settled
-    start = unbent(setup.lay_out(base_tension)), None if settled.strain is None else jnp.zeros_like(settled.strain)
+    ratio, moment, frame = settled.values
+    upright = None if frame is None else jnp.zeros_like(frame) + jnp.asarray(SPACE.upright, frame.dtype)
+    start = Nodal(jnp.ones_like(ratio), jnp.zeros_like(moment), upright)
+    strain = None if settled.strain is None else jnp.zeros_like(settled.strain)
     good, here = settled.load_path.converged, (settled.values, settled.strain)
-    values, strain = without_derivative(jax.tree.map(lambda x, guess: jnp.where(good, x, guess), here, start))
+    values, strain = without_derivative(jax.tree.map(lambda x, guess: jnp.where(good, x, guess), here, (start, strain)))
     return settled._replace(values=values, strain=strain)
 
 

@@ -65,11 +65,11 @@ def place(setup: Setup, base_tension: PerTendon, settled: Settled) -> Problem:
 def settle(setup: Setup, base_tension: PerTendon) -> Settled:
     """Find the directions that are not stated, and the moment at the base; without derivatives."""
     if not setup.to_find:
-        return _as_stated(setup, base_tension)
+        return _loaded(setup, base_tension) if setup.loads is not None else _nothing_to_find(setup, base_tension)
 
     def attempt(direction: PerTendon) -> tuple[Settled, PerTendon, Flag]:
-        tried = setup.sliding(direction)
-        settled = _as_stated(tried, base_tension) if setup.loads is not None else _unloaded(tried, base_tension)
+        solve = _loaded if setup.loads is not None else _unloaded
+        settled = solve(setup.sliding(direction), base_tension)
         return settled, settled.travel, settled.load_path.converged
 
     start = unsettled(setup, base_tension)
@@ -78,27 +78,26 @@ def settle(setup: Setup, base_tension: PerTendon) -> Settled:
 
 def unsettled(setup: Setup, base_tension: PerTendon) -> Settled:
     """Where `settle` starts: no loads, no friction."""
-    zero = zero_as(setup, base_tension)
-    false, true = zero > 0, zero == 0
-    loaded = setup.loads is not None
-    first = LoadedBody(setup.lay_out(base_tension), setup.method).first(zero) if loaded else None
-    path = LoadPath(
-        base_moment=zero if first is None else first.values.moment,
-        fraction=zero if loaded else zero + 1.0,
-        num_steps=zero,
-        converged=true,
-        stable=true,
-        resolved=true,
-    )
-    values, strain = (None, None) if first is None else (first.values.nodal, first.strain)
-    return Settled(setup.direction + zero, path, base_tension + zero, values, strain, zero, false, zero + 1.0)
-
-
-def _as_stated(setup: Setup, base_tension: PerTendon) -> Settled:
-    """For the directions of the setup; without loads nothing has to be found."""
-    start = unsettled(setup, base_tension)
+    start = _nothing_to_find(setup, base_tension)
     if setup.loads is None:
         return start
+    zero = start.num_iterations
+    first = LoadedBody(setup.lay_out(base_tension), setup.method).first(zero)
+    path = start.load_path._replace(base_moment=first.values.moment, fraction=zero)
+    return start._replace(load_path=path, values=first.values.nodal, strain=first.strain)
+
+
+def _nothing_to_find(setup: Setup, base_tension: PerTendon) -> Settled:
+    """Without loads, and where all directions are stated."""
+    zero = zero_as(setup, base_tension)
+    true = zero == 0
+    path = LoadPath(zero, zero + 1.0, zero, converged=true, stable=true, resolved=true)
+    return Settled(setup.direction + zero, path, base_tension + zero, None, None, zero, ~true, zero + 1.0)
+
+
+def _loaded(setup: Setup, base_tension: PerTendon) -> Settled:
+    """Follow the loads on the rough body, then settle the body with its kinks."""
+    start = _nothing_to_find(setup, base_tension)
     rough, body = (LoadedBody(setup.lay_out(base_tension, each), setup.method) for each in (True, False))
     path, end = follow_loads(rough, start.num_iterations)
     state = state_at_nodes(rough.problem, end.values.nodal, end.strain)
@@ -122,9 +121,9 @@ def _as_stated(setup: Setup, base_tension: PerTendon) -> Settled:
 
 
 def _unloaded(setup: Setup, base_tension: PerTendon) -> Settled:
-    """For the directions of the setup, with the travel of the tendons of a body without loads."""
+    """The travel of the tendons of a body without loads."""
     problem = setup.lay_out(base_tension)
     found = setup.method(problem)
     travel = travel_under_tension(problem, found.nodes.pull, tendon_displacement(problem, found.nodes))
-    start = unsettled(setup, base_tension)
+    start = _nothing_to_find(setup, base_tension)
     return start._replace(travel=travel, load_path=start.load_path._replace(converged=found.converged))
