@@ -27,7 +27,7 @@ from cddf_jax.mechanics.problem import (
     strain_of,
     tension_of,
 )
-from cddf_jax.mechanics.truncation_error import ACCURACY
+from cddf_jax.numerics import tolerances
 from cddf_jax.numerics.arrays import zero_as
 from cddf_jax.robot.loads import planar_cross
 
@@ -56,16 +56,16 @@ class Marching(eqx.Module):
         differences = [jnp.max(jnp.abs((a - b) / c)) for a, b, c in both]
         residual = jnp.max(jnp.stack(differences)) / 15
         positive = jnp.all(along.ratio > 0)
-        nodes = jax.tree.map(lambda x: x[:, :-1], along)
+        nodes, ends = (jax.tree.map(lambda x, at=at: x[:, at], along) for at in (slice(-1), -1))
         strain = strain_along(problem.nodes, problem.base_tension, nodes)
-        at_starts, at_nodes, at_tip = starts_of_newton(problem, strain)
+        at_starts, at_nodes, at_ends = starts_of_newton(problem, strain)
         return Solution(
             starts=starts._replace(strain=at_starts),
             nodes=nodes._replace(strain=at_nodes),
-            tip=tip._replace(strain=at_tip),
+            ends=ends._replace(strain=at_ends),
             num_iterations=jnp.ones_like(length),
             residual=residual,
-            converged=positive & (residual <= ACCURACY),
+            converged=positive & (residual <= tolerances.ACCURACY),
             locked=~positive,
         )
 

@@ -13,6 +13,7 @@ from cddf_jax.numerics.elements import (
     elements_between,
     gains_of_length,
     gains_of_magnitude,
+    smooth_pieces,
     sums,
     totals,
 )

@@ -100,11 +100,8 @@ def cut_into_cells(manipulator: Manipulator, count: int, merged: Number | float 
 def forces_along(manipulator: Manipulator, count: int, merged: Number, loads: Loads) -> Float[Array, "P 3 2"]:
     """The dead loads beyond the start, the middle and the end of each cell, N."""
     problem = _laid_out(manipulator, loads, count, merged)
-    starts, nodes, tip, _, drops = problem.outboard
-    ends = jnp.concatenate([starts[1:], tip[None]])
-    if drops is not None:  # a point mass acts at the start of a cell
-        ends = ends + jnp.concatenate([drops[1:], jnp.zeros_like(drops[:1])])
-    return jnp.stack([starts, nodes[:, 1], ends], axis=1)
+    along = problem.outboard
+    return jnp.stack([along.starts, along.nodes[:, 1], along.ends], axis=1)
 
 
 def _laid_out(manipulator: Manipulator, loads: Loads | None, count: int, merged: Number | float) -> Problem:

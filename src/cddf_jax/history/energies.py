@@ -160,20 +160,24 @@ class _Slide(NamedTuple):
     cut: Elements
     starts: State
     nodes: State
+    ends: State
+
+    def _state(self, arc_length: Number) -> State:
+        return self.cut.interpolate(self.starts, self.nodes, self.ends, arc_length)
 
     def at(self, body: Manipulator, arc_length: Number) -> tuple[AnySection, PerTendon, Array]:
         """Cross-section, tension, N, and M_ext, N m."""
-        section, state = guarded_section(body, arc_length), self.cut.interpolate(self.starts, self.nodes, arc_length)
+        section, state = guarded_section(body, arc_length), self._state(arc_length)
         return section, tension_of(section, self.base_tension, state.pull), state.moment
 
 
 def _slide(part: Manipulator, nodes: int, direction: Number, tension: Number) -> _Slide:
     if geometry_of(part).reverses(part, loaded=False) or part.tendon_drag is not None:
         dense = solve(part, tension, direction=direction, nodes=nodes, throw=False)._dense
-        return _Slide(dense.base_tension, dense.elements, dense.starts, dense.nodes)
+        return _Slide(dense.base_tension, dense.elements, dense.starts, dense.nodes, dense.ends)
     problem = lay_out(part, tension[None], direction[None], nodes)
     found = FixedPoint()(problem)
-    return _Slide(problem.base_tension, problem.elements, found.starts, found.nodes)
+    return _Slide(problem.base_tension, problem.elements, found.starts, found.nodes, found.ends)
 
 
 def _front_at(

@@ -15,12 +15,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..numerics import tolerances as tol
 from ..numerics.fixed_point import slope_along
 from ..robot.cross_section import CrossSection, where_present
 from .friction import PerTendon, bending_loss, drag_loss, tension_rate
 
 Number = Float[Array, ""]
-NEWTON_STEPS = 8  # that start from the curvature of parallel tendons
 
 
 class Tangent(NamedTuple):
@@ -93,7 +93,7 @@ def _slanted_curvature(
     if start is not None:
         return newton_step(0, start)
     pull = jnp.sum(section.side * section.offset * tension) + external_moment
-    return jax.lax.fori_loop(0, NEWTON_STEPS, newton_step, pull / section.stiffness)
+    return jax.lax.fori_loop(0, tol.CURVATURE_STEPS, newton_step, pull / section.stiffness)
 
 
 @_slanted_curvature.def_jvp

@@ -12,14 +12,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, PyTree
 
+from ..numerics import tolerances as tol
 from ..robot.manipulator import Manipulator
 from ..robot.profiles import as_number
 from .friction import PerTendon, Pull, unspent
 from .problem import Number, Problem
-
-LEAST_TRAVEL = 1e-6  # of the length: a tendon that travels less contradicts no direction
-NUM_FLIPS = 3  # choices that reverse the contradicted directions; after them all choices are tried in turn
-MOST_LISTED = 64  # of all choices
 
 Answer = TypeVar("Answer")
 Directions = ArrayLike | Sequence[ArrayLike | None] | None  # for all tendons, or one each; None where it is to be found
@@ -73,7 +70,7 @@ def travel_under_tension(problem: Problem, pull: Pull, travel: PerTendon) -> Per
 
 def is_contradicted(direction: PerTendon, travel: PerTendon, length: Number) -> Bool[Array, " tendons"]:
     """Whether each tendon travels against its direction."""
-    return direction * travel < -LEAST_TRAVEL * length
+    return direction * travel < -tol.LEAST_TRAVEL * length
 
 
 class _DirectionSearch(NamedTuple):
@@ -111,7 +108,7 @@ def find_directions(
     which = jnp.asarray(to_find)
     zero, one = jnp.zeros_like(stated[0]), jnp.ones_like(stated[0])
     length = jnp.asarray(manipulator.length)
-    listed = min(2 ** len(to_find), MOST_LISTED)
+    listed = min(2 ** len(to_find), tol.MOST_LISTED)
 
     def once(search: _DirectionSearch) -> _DirectionSearch:
         answer, travel, found = attempt(search.direction)
@@ -120,16 +117,16 @@ def find_directions(
         better = count < search.fewest
         best = jax.tree.map(lambda new, old: jnp.where(better, new, old), answer, search.best)
         num_tried = search.num_tried + 1.0
-        bits = ((num_tried - NUM_FLIPS).astype(int) >> jnp.arange(len(to_find))) & 1
+        bits = ((num_tried - tol.NUM_FLIPS).astype(int) >> jnp.arange(len(to_find))) & 1
         flipped = search.direction[which] * (one - 2 * against)
-        following = search.direction.at[which].set(jnp.where(num_tried < NUM_FLIPS, flipped, one - 2 * bits))
+        following = search.direction.at[which].set(jnp.where(num_tried < tol.NUM_FLIPS, flipped, one - 2 * bits))
         # one tendon, whose direction was reversed just now, slides neither in nor out
-        sticks = (num_tried <= NUM_FLIPS) & (count == 1) & jnp.all(against == search.against)
-        ended = found & ((count == 0) | sticks) | (num_tried >= NUM_FLIPS + listed)
+        sticks = (num_tried <= tol.NUM_FLIPS) & (count == 1) & jnp.all(against == search.against)
+        ended = found & ((count == 0) | sticks) | (num_tried >= tol.NUM_FLIPS + listed)
         return _DirectionSearch(following, best, jnp.minimum(count, search.fewest), against, num_tried, ended)
 
     arm = manipulator.arms(jnp.zeros_like(length))
-    turned, least = arm @ (base_tension @ arm), jnp.sum(arm**2 * base_tension[:, None]) * LEAST_TRAVEL
+    turned, least = arm @ (base_tension @ arm), jnp.sum(arm**2 * base_tension[:, None]) * tol.LEAST_TRAVEL
     first = stated.at[which].set(jnp.where(turned < -least, -one, one)[which])
     start = _DirectionSearch(first, blank, zero + jnp.inf, 0 * first[which], zero, zero > 0)
     return jax.lax.while_loop(lambda search: ~search.ended, once, start).best

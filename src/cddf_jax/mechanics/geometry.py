@@ -181,7 +181,7 @@ class Space:
     """The strain is the curvature u, and v where the axis stretches; the heading is a quaternion."""
 
     components: ClassVar[int] = 3
-    elements: ClassVar[tuple[int, float]] = 3, 0.75  # more nodes each, as the derivatives of tangents need them
+    elements: ClassVar[tuple[int, float]] = 4, 0.75  # more nodes each, as the derivatives of tangents need them
     no_moment: ClassVar[np.ndarray] = np.zeros(3)
     upright: ClassVar[np.ndarray] = np.array(IDENTITY)
     has_frames: ClassVar[bool] = True

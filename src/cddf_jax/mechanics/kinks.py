@@ -13,6 +13,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..numerics import tolerances as tol
 from ..numerics.elements import (
     Totals,
     first_root,
@@ -28,7 +29,6 @@ from ..robot.cross_section import AnySection, where_present
 from .friction import PerTendon, Pull, unspent
 
 Number = Float[Array, ""]
-TOGETHER = 0.1  # of an element: tendons that turn over at a smaller distance are taken to do so at one place
 
 
 class Tensions(NamedTuple):
@@ -92,8 +92,6 @@ def with_smooth_ratios(
 ) -> Tensions:
     """The tensions along an element, whose branches of r are continued smoothly beyond the place where they meet.
 
-    Where no tendon is slack, the branches meet where a tendon turns over.
-
     Args:
         tensions: with r as it is.
         section: at the nodes of the element.
@@ -102,24 +100,36 @@ def with_smooth_ratios(
         direction: of the tendons.
         growth: the signed r' over the direction, for an element of width 1, on each branch.
     """
-    ratio, nodes = pull.ratio, jnp.asarray(gauss_rule(len(pull.ratio)).nodes, pull.ratio.dtype)[:, None]
     if tensions.place is None:
-        rate, turns_at = growth[0], first_root(growth[0])
-        place = jnp.min(turns_at)
-        apart = 2.0 * direction * jnp.abs(totals(jnp.ones_like(place), rate)[0] - total_to_root(rate))
-        over = (turns_at < 1) & (turns_at <= place + TOGETHER)
-        apart = jnp.where(over, apart, 0.0)
+        place, apart, signs = _where_turning_over(growth[0])
+        taut, left = 1.0, base_tension
     else:
-        place = tensions.place
-        rate = direction * (jnp.sign(growth[1, -1]) * growth[1] - jnp.sign(growth[0, 0]) * growth[0])
-        apart = totals(jnp.ones_like(place), rate)[0] - total_to(rate, place)
-        apart = jnp.where(place < 1, apart, 0.0)
-    ratios = jnp.stack([jnp.where(nodes > place, ratio - apart, ratio), jnp.where(nodes > place, ratio, ratio + apart)])
+        place, apart, signs = tensions.place, _apart_where_slack(growth, tensions.place), None
+        assert pull.spent is not None
+        taut, left = jnp.where(tensions.branches != 0, 1.0, 0.0), base_tension - pull.spent
+    ratio, apart = pull.ratio, direction * apart
+    beyond = jnp.asarray(gauss_rule(len(ratio)).nodes, ratio.dtype)[:, None] > place
+    ratios = jnp.stack([jnp.where(beyond, ratio - apart, ratio), jnp.where(beyond, ratio, ratio + apart)])
     size = jnp.maximum(jnp.abs(ratios), jnp.finfo(ratio.dtype).eps)
-    if tensions.place is None:
-        early = jnp.where(growth[0, 0] < 0, -1.0, 1.0)
-        signs = jnp.stack([early, jnp.where(over, -early, early)])
-        return Tensions(where_present(section, base_tension / size), ratios, place, signs)
-    taut = jnp.where(tensions.branches != 0, 1.0, 0.0)
-    left = base_tension - (0.0 if pull.spent is None else pull.spent)
-    return Tensions(where_present(section, taut * left / size), ratios, place)
+    return Tensions(where_present(section, taut * left / size), ratios, place, signs)
+
+
+def _where_turning_over(growth: Float[Array, "p tendons"]) -> tuple[Number, Array, Array]:
+    """The first place where a tendon turns over, by how much the branches of r are apart, and the signs of psi'.
+
+    Beyond that place, r' is |g| on one branch and -|g| on the other, so that r differs by 2 |integral of g from there|.
+    """
+    places = first_root(growth)
+    place = jnp.min(places)
+    apart = 2.0 * jnp.abs(totals(jnp.ones_like(place), growth)[0] - total_to_root(growth))
+    over = (places < 1) & (places <= place + tol.TOGETHER)
+    early = jnp.where(growth[0] < 0, -1.0, 1.0)
+    return place, jnp.where(over, apart, 0.0), jnp.stack([early, jnp.where(over, -early, early)])
+
+
+def _apart_where_slack(growth: Float[Array, "2 p tendons"], place: Number) -> Float[Array, "p tendons"]:
+    """By how much the branches of r are apart, where a tendon becomes slack at a place."""
+    early, late = growth
+    rate = jnp.sign(late[-1]) * late - jnp.sign(early[0]) * early
+    apart = totals(jnp.ones_like(place), rate)[0] - total_to(rate, place)
+    return jnp.where(place < 1, apart, 0.0)

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jax.tree_util import Partial
 from jaxtyping import Array, Bool, Float
 
+from ..numerics import tolerances as tol
 from ..numerics.arrays import all_finite, computed_once, largest, largest_size, relative_size, zero_as
 from ..numerics.elements import Elements, totals
 from ..numerics.fixed_point import fixed_point, minus, round_off, without_derivative
@@ -37,9 +38,6 @@ from .problem import (
     strain_of,
     unbent,
 )
-
-JOINT_STEPS = 6  # of the fixed point of r beyond a joint: r changes the angle there by mu d d' kappa only
-LAST_GAIN = 64.0  # times the tolerance: with a larger change the iteration goes on, also where it converges fast
 
 
 class Part(NamedTuple):
@@ -66,19 +64,18 @@ def march(
         whole: whether wrap angle and position are integrated as well.
 
     Returns:
-        The states at the starts of the elements, at the nodes and at the tip, and the elastic strain at the nodes.
+        The states at the starts, the nodes and the ends of the elements, and the elastic strain at the nodes.
     """
     outboard = problem.outboard
     forces = (outboard.starts, outboard.nodes) if _has_headings(problem) else (None, None)
     parts = Part(problem.elements.width, problem.nodes, problem.joints, *forces, guess, strain)
 
-    def element(arriving: State, part: Part) -> tuple[State, tuple[State, State, Array]]:
+    def element(arriving: State, part: Part) -> tuple[State, tuple[State, State, State, Array]]:
         start = _across_joint(problem, arriving, part)
         nodes, end, elastic = _along_element(problem, start, part)
-        return end, (start, nodes, elastic)
+        return end, (start, nodes, end, elastic)
 
-    tip, (starts, nodes, elastic) = jax.lax.scan(element, _at_base(problem, whole), parts)
-    return starts, nodes, tip, elastic
+    return jax.lax.scan(element, _at_base(problem, whole), parts)[1]
 
 
 def _has_headings(problem: Problem) -> bool:
@@ -105,7 +102,7 @@ def _along_element(problem: Problem, start: State, part: Part) -> tuple[State, S
     spent = _onwards(start.pull.spent, part.width, spent_rate(problem.direction, part.section, part.guess.ratio))
     pull = Pull(part.guess.ratio, spent[0])
     tensions = tensions_along(part.section, problem.base_tension, pull, problem.rough)
-    if problem.turns_over:
+    if problem.has_kinks and not problem.geometry.has_frames:  # in space there are sharp minima in place of kinks
         tensions = _smooth(problem, start, part, tensions, pull)
     strains = _strains(problem, part, tensions)
     heading, axis, moment_rate = _headings(problem, start, part, tensions, strains)
@@ -179,7 +176,7 @@ def _turned(
     turning = _turning(problem, part, tensions, strains, moment_rate)
     rates = geometry.scaled(turning, ratio_factor(part.section, tensions.ratios))
     rates = jnp.concatenate([rates, turning], axis=2) if whole else rates
-    found = tensions.totals(part.width, rates, geometry.size, geometry.gains if problem.reverses else None)
+    found = tensions.totals(part.width, rates, geometry.size, geometry.gains if problem.has_kinks else None)
     if start.wrap_angle is None:
         return found, (None, None)
     (growth, wrap), (last, total) = (jnp.split(each, 2, axis=-1) for each in found)
@@ -216,7 +213,7 @@ def turn_at_joint(problem: Problem, joint: Joints, arriving: State) -> tuple[Per
         turn = where_present(joint.after, geometry.turn_between(before, pointing(joint.after, guess[1])))
         return turn, ratio_beyond(problem.direction, joint.before, turn, ratio)
 
-    return jax.lax.fori_loop(0, JOINT_STEPS, improve, (jnp.zeros_like(ratio), ratio + zero_as(before)))
+    return jax.lax.fori_loop(0, tol.JOINT_STEPS, improve, (jnp.zeros_like(ratio), ratio + zero_as(before)))
 
 
 # --- the method ------------------------------------------------------------------------------------
@@ -254,7 +251,7 @@ class FixedPoint(eqx.Module):
             values, count, change, good = fixed_point(update, guess, **settings, acceptable=_acceptable, off=off)
         found = self.finish(problem, values)
         good = good & jnp.all(found.tip.ratio > 0)
-        return Solution(found.starts, found.nodes, found.tip, count, change, good, (change <= least) & ~good)
+        return Solution(found.starts, found.nodes, found.ends, count, change, good, (change <= least) & ~good)
 
     def improve(
         self, problem: Problem, guess: Nodal, strain: Array | None = None, before: Number | float = 0.0
@@ -270,15 +267,15 @@ class FixedPoint(eqx.Module):
         self, problem: Problem, guess: Nodal, along: tuple[State, State, State, Array], before: Number | float
     ) -> Solution:
         """What a march found, and whether it has changed so little that it is the solution."""
-        starts, nodes, tip = _solved(problem, *along)
+        starts, nodes, ends = _solved(problem, *along)
         better, guess = without_derivative((nodal(problem, nodes), guess))  # their change needs no derivative
         change = relative_size(minus(better, guess), better)
-        positive = jnp.all(tip.ratio > 0) & jnp.all(better.ratio > 0)
+        positive = jnp.all(ends.ratio > 0) & jnp.all(better.ratio > 0)
         # the iteration converges by the factor change / before, so the next change would be this one times that factor
         least = self._tolerance(problem)
-        still = (change * change <= least * jnp.maximum(before, change)) & (change <= LAST_GAIN * least)
+        still = (change * change <= least * jnp.maximum(before, change)) & (change <= tol.LAST_GAIN * least)
         # from a poor guess r may pass below zero and come back
-        return Solution(starts, nodes, tip, jnp.ones_like(change), change, still & positive, still & ~positive)
+        return Solution(starts, nodes, ends, jnp.ones_like(change), change, still & positive, still & ~positive)
 
     def _tolerance(self, problem: Problem) -> float:
         return max(1e-12, round_off(problem.elements.edges.dtype)) if self.tolerance is None else self.tolerance
@@ -308,11 +305,11 @@ def _once(problem: Problem, guess: Nodal) -> tuple[Nodal, Number]:
     return _improved(problem, guess), jnp.where(jnp.all(growth == growth[0]), 0.0, jnp.inf)
 
 
-def _solved(problem: Problem, starts: State, nodes: State, tip: State, elastic: Array) -> tuple[State, State, State]:
+def _solved(problem: Problem, starts: State, nodes: State, ends: State, elastic: Array) -> tuple[State, State, State]:
     """The states with the forces of the loads, and the elastic strain where it has no closed form."""
     outboard, strains = problem.outboard, starts_of_newton(problem, elastic)
-    forces = (outboard.starts, outboard.nodes, outboard.tip) if _has_headings(problem) else (None, None, None)
-    given = zip((starts, nodes, tip), forces, strains, strict=True)
+    forces = (outboard.starts, outboard.nodes, outboard.ends) if _has_headings(problem) else (None, None, None)
+    given = zip((starts, nodes, ends), forces, strains, strict=True)
     states = [state._replace(force=force, strain=strain) for state, force, strain in given]
     if not _has_headings(problem):
         upright = jnp.asarray(problem.geometry.upright, elastic.dtype)
@@ -340,8 +337,8 @@ def _with_frames(problem: Problem, found: Solution, elastic: Array) -> Solution:
         return state._replace(heading=heading, position=position)
 
     starts = whole(found.starts, frames[0][:-1], places[0][:-1])
-    nodes, tip = whole(found.nodes, frames[1], places[1]), whole(found.tip, frames[0][-1], places[0][-1])
-    return Solution(starts, nodes, tip, found.num_iterations, found.residual, found.converged, found.locked)
+    nodes, ends = whole(found.nodes, frames[1], places[1]), whole(found.ends, frames[0][1:], places[0][1:])
+    return Solution(starts, nodes, ends, found.num_iterations, found.residual, found.converged, found.locked)
 
 
 def _frames(cut: Elements, strain: Array) -> tuple[Array, Array]:

@@ -48,6 +48,12 @@ class Outboard(NamedTuple):
     # by how much N falls at the start of an element; None without point masses
     drops: Float[Array, "P components"] | None = None
 
+    @property
+    def ends(self) -> Float[Array, "P components"]:
+        """N just before the end of each element."""
+        following = self.starts[1:] if self.drops is None else self.starts[1:] + self.drops[1:]
+        return jnp.concatenate([following, self.tip[None]])
+
 
 class Problem(eqx.Module):
     """A body under load, cut into elements, its cross-sections evaluated once."""
@@ -86,10 +92,9 @@ class Problem(eqx.Module):
         return not self.rough and self.geometry.reverses(self.manipulator, self.loads is not None)
 
     @property
-    def turns_over(self) -> bool:
-        """Whether a tension in the plane may have a kink, where a tendon turns over or becomes slack; static."""
-        kinks = self.reverses or (self.manipulator.tendon_drag is not None and not self.rough)
-        return kinks and not self.geometry.has_frames
+    def has_kinks(self) -> bool:
+        """Whether a tension may have a kink, where a tendon turns over or becomes slack; static."""
+        return self.reverses or (self.manipulator.tendon_drag is not None and not self.rough)
 
     @property
     def is_quadrature(self) -> bool:
@@ -125,11 +130,15 @@ class Solution(eqx.Module):
 
     starts: State  # at the start of every element
     nodes: State  # at every Gauss node
-    tip: State
+    ends: State  # at the end of every element
     num_iterations: Number
     residual: Number  # of the method itself, relative: the last change of the fixed point
     converged: Bool[Array, ""]
     locked: Bool[Array, ""]  # the tension of a tendon sliding out grows without bound
+
+    @property
+    def tip(self) -> State:
+        return jax.tree.map(lambda x: x[-1], self.ends)
 
 
 class Nodal(NamedTuple):
@@ -362,7 +371,7 @@ def unstrained(manipulator: Manipulator, loaded: bool, points: Float[Array, "P p
 
 
 def starts_of_newton(problem: Problem, elastic: Array) -> tuple[Array | None, Array | None, Array | None]:
-    """The elastic strain as states hold it: at the starts of the elements, the nodes and the tip, without derivatives.
+    """The elastic strain as states hold it: at the starts, the nodes and the ends of the elements, without derivatives.
 
     Args:
         problem: the body.
@@ -372,7 +381,7 @@ def starts_of_newton(problem: Problem, elastic: Array) -> tuple[Array | None, Ar
         return None, None, None
     nodes = without_derivative(elastic)
     starts, ends = problem.elements.at_starts_and_ends(nodes)
-    return starts, nodes, ends[-1]
+    return starts, nodes, ends
 
 
 def line_up(base: Array, nodes: Array, tip: Array) -> Array:

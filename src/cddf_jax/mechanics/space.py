@@ -20,12 +20,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..numerics import tolerances as tol
 from ..numerics.fixed_point import slope_along, solve_definite
 from ..numerics.rotations import Quaternion, Vector, cross, first_axis, in_fixed_frame, length_of
 from ..robot.cross_section import SpatialSection, where_present
 from .friction import PerTendon, tension_rate
 
-NEWTON_STEPS = 6  # that start from the strain at rest
 Strain = Float[Array, " strains"]
 Vectors = Float[Array, "tendons 3"]
 
@@ -42,7 +42,7 @@ def strain(section: SpatialSection, tension: PerTendon, loads: Wrench | None, st
 
     Tendons parallel to the axis of a body without loads give a closed form. Elsewhere the strain is the root of an
     equation. From `start`, which is close to its elastic part, one step of Newton's method finds it; without `start`
-    there are `NEWTON_STEPS` steps.
+    there are `tol.STRAIN_STEPS` steps.
     """
     if section.parallel and loads is None:  # no twist, and t = (1, 0, 0)
         arms = section.lever[:, 0, 1:] * (1.0 / section.stiffness[1:])
@@ -121,7 +121,7 @@ def tension_rate_without_loads(
         value, slope = jax.jvp(law, (rate,), (jnp.ones_like(rate),))
         return rate - (rate - value) / (1.0 - slope)
 
-    return jax.lax.fori_loop(0, NEWTON_STEPS, newton_step, law(jnp.zeros_like(tension)))
+    return jax.lax.fori_loop(0, tol.STRAIN_STEPS, newton_step, law(jnp.zeros_like(tension)))
 
 
 def slip_rate_in_space(section: SpatialSection, strain: Strain, tension: PerTendon, compliance: PerTendon) -> PerTendon:
@@ -153,7 +153,7 @@ def _strain_of_least_energy(
     if start is not None:
         return newton_step(0, section.rest + start)
     return jax.lax.fori_loop(
-        0, NEWTON_STEPS, newton_step, section.rest + 0.0 * _gradient(section, tension, section.ahead, loads)
+        0, tol.STRAIN_STEPS, newton_step, section.rest + 0.0 * _gradient(section, tension, section.ahead, loads)
     )
 
 

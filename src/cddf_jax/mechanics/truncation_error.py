@@ -5,16 +5,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..numerics import tolerances as tol
 from ..numerics.arrays import largest
 from ..numerics.elements import Elements
 from .march import FixedPoint
 from .problem import Method, Number, Problem, Solution, State, lay_out, nodal, spent_scale
-
-ACCURACY = 1e-5  # a solve with a larger truncation error is not called successful
-SAFETY = 5.0  # factor on the difference of two quadratures in the error estimate
-WITH_KINKS = 2.0  # times more where kinks may disturb both quadratures alike
-ITERATIONS = 4  # that find kinks again, which the polynomials of the solution have rounded off
-MORE_NODES = 3  # in each element, for the second of them
 
 
 def truncation_error(problem: Problem, solution: Solution, method: Method) -> Number:
@@ -26,21 +21,24 @@ def truncation_error(problem: Problem, solution: Solution, method: Method) -> Nu
     the elements.
     """
     cut, once = problem.elements, FixedPoint()
-    finer = Elements.between(cut.edges, cut.order + MORE_NODES)
+    finer = Elements.between(cut.edges, cut.order + tol.MORE_NODES)
     fine = lay_out(problem.manipulator, problem.base_tension, problem.direction, 0, problem.loads, finer)
     fine = eqx.tree_at(lambda fine: fine.base_moment, fine, problem.base_moment)
-    state = jax.tree.map(lambda a, b: cut.resample(a, b, finer.rule.nodes), solution.starts, solution.nodes)
+    ends = solution.starts, solution.nodes, solution.ends
+    state = jax.tree.map(lambda a, b, c: cut.resample(a, b, c, finer.rule.nodes), *ends)
 
     def again(last: tuple, _: None) -> tuple[tuple, Solution]:
         found = once.finish(fine, *last)
         return (nodal(fine, found.nodes), found.nodes.strain), found
 
-    _, iterates = jax.lax.scan(again, (nodal(fine, state), state.strain), length=ITERATIONS if problem.reverses else 1)
+    _, iterates = jax.lax.scan(
+        again, (nodal(fine, state), state.strain), length=tol.KINK_ITERATIONS if problem.has_kinks else 1
+    )
     found = jax.tree.map(lambda x: x[-1], iterates)
     if not isinstance(method, FixedPoint):  # it may have ended before it settled, which is another error
         solution = once.finish(problem, nodal(problem, solution.nodes), solution.nodes.strain)
     missed = jnp.sum(jnp.abs(_gains(problem, found) - _gains(problem, solution)), axis=0)
-    safety = SAFETY * WITH_KINKS if problem.reverses else SAFETY
+    safety = tol.SAFETY * tol.WITH_KINKS if problem.has_kinks else tol.SAFETY
     return jnp.maximum(safety * largest(missed), _unseen_turning(problem))
 
 

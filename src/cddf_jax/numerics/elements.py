@@ -38,7 +38,7 @@ class Rule(NamedTuple):
     totals: np.ndarray  # (p + 1, p) integral from 0 to each node and to 1
     differentiation: np.ndarray  # (p, p) derivative at each node
     series: np.ndarray  # (p, p) values at the nodes -> Legendre coefficients
-    interpolation: np.ndarray  # (p + 1, p + 1) likewise of the values at 0 and the nodes
+    interpolation: np.ndarray  # (p + 2, p + 2) likewise of the values at 0, the nodes and 1
     ends: np.ndarray  # (2, p) values at the nodes -> their polynomial at 0 and at 1
     barycentric: np.ndarray  # (p,) barycentric weights of the nodes
     points: np.ndarray  # (p + 2,) 0, the nodes and 1
@@ -70,7 +70,7 @@ def gauss_rule(order: int) -> Rule:
         totals=integrals @ series / 2,
         differentiation=2 * slopes[1:-1],
         series=series,
-        interpolation=np.linalg.inv(legendre.legvander(points[:-1], order)),
+        interpolation=np.linalg.inv(legendre.legvander(points, order + 1)),
         ends=ends[[0, -1]],
         barycentric=barycentric / np.max(np.abs(barycentric)),
         points=(points + 1) / 2,
@@ -348,10 +348,12 @@ class Elements(eqx.Module):
         values = jax.vmap(jax.vmap(rate))(places)
         return self._widths(values) * (jnp.moveaxis(values, 1, -1) @ weights)
 
-    def resample(self, start: Float[Array, "P *k"], values: Float[Array, "P p *k"], places: np.ndarray) -> Array:
-        """The polynomials through the starts and the nodes of the elements, at other points in [0, 1] of each."""
-        basis = legendre.legvander(2 * places - 1, self.order) @ self.rule.interpolation
-        return jax.vmap(lambda a, b: times(basis, jnp.concatenate([a[None], b])))(start, values)
+    def resample(
+        self, start: Float[Array, "P *k"], values: Float[Array, "P p *k"], end: Float[Array, "P *k"], places: np.ndarray
+    ) -> Array:
+        """The polynomials through start, nodes and end of the elements, at other points in [0, 1] of each."""
+        basis = legendre.legvander(2 * places - 1, self.order + 1) @ self.rule.interpolation
+        return jax.vmap(lambda a, b, c: times(basis, jnp.concatenate([a[None], b, c[None]])))(start, values, end)
 
     def refined(self, values: Float[Array, "P p *k"], finer: "Elements") -> Float[Array, "Q q *k"]:
         """The polynomials through the nodes, at the nodes of elements into which each of these is divided equally."""
@@ -361,19 +363,23 @@ class Elements(eqx.Module):
         found = jax.vmap(lambda x: times(basis, x))(values)
         return found.reshape(*finer.nodes.shape, *values.shape[2:])
 
-    def interpolate(self, start: Tree, values: Tree, arc_length: Float[Array, ""]) -> Tree:
-        """The polynomials through the start and the nodes of the element that holds `arc_length`.
+    def interpolate(self, start: Tree, values: Tree, end: Tree, arc_length: Float[Array, ""]) -> Tree:
+        """The polynomials through start, nodes and end of the element that holds `arc_length`.
 
         Args:
-            start, values: trees of arrays with leading axes P and (P, p).
+            start, values, end: trees of arrays with leading axes P, (P, p) and P.
         """
         i, x = self._within(arc_length)
         x = 2 * x - 1
         basis = [jnp.ones_like(x), x]
-        for n in range(1, self.order):
+        for n in range(1, self.order + 1):
             basis.append(((2 * n + 1) * x * basis[n] - n * basis[n - 1]) / (n + 1))
         weights = jnp.stack(basis) @ jnp.asarray(self.rule.interpolation, x.dtype)
-        return jax.tree.map(lambda a, b: jnp.tensordot(weights, jnp.concatenate([a[i][None], b[i]]), 1), start, values)
+
+        def at(a: Array, b: Array, c: Array) -> Array:
+            return jnp.tensordot(weights, jnp.concatenate([a[i][None], b[i], c[i][None]]), 1)
+
+        return jax.tree.map(at, start, values, end)
 
     def lagrange(self, place: Float[Array, ""]) -> Float[Array, " p"]:
         """The weights of the nodes in the value of their polynomial at a point in [0, 1].

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jax.tree_util import Partial
 from jaxtyping import Array, Bool, Float, PyTree
 
+from . import tolerances as tol
 from .arrays import all_finite, relative_size, zero_as
 from .rotations import solve_three
 
@@ -23,7 +24,6 @@ Slopes = TypeVar("Slopes", bound=tuple)
 Result = TypeVar("Result")
 Scalar = Float[Array, ""]
 Step = Callable[[Tree, Unknowns], tuple[Tree, Unknowns]]  # (values, unknowns) -> better values, residual
-MAX_ITERATIONS = 64
 
 
 class FixedPointResult(NamedTuple):
@@ -81,7 +81,7 @@ def implicit(
     values: Tree,
     root: Unknowns,
     failed: Bool[Array, ""] | bool = False,
-    max_iterations: int = MAX_ITERATIONS,
+    max_iterations: int = tol.MAX_ITERATIONS,
 ) -> tuple[Tree, Unknowns]:
     """The same values and unknowns, with the derivatives that follow from the equations.
 
@@ -115,7 +115,7 @@ def slopes_by_unknowns(push: Callable[[Tree, Unknowns], Slopes], values: Tree, r
 
     def by(unit: Unknowns) -> Slopes:
         start = jax.tree.map(lambda x: jnp.zeros_like(x) + 0.0 * unit[0], jax.eval_shape(push, values, unit))
-        return by_iteration(lambda slopes: push(slopes[0], unit), start, MAX_ITERATIONS)
+        return by_iteration(lambda slopes: push(slopes[0], unit), start, tol.MAX_ITERATIONS)
 
     return jax.vmap(by)(_units(root, values))
 

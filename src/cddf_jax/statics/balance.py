@@ -143,10 +143,10 @@ def _where_found(settled: Settled) -> Settled:
         return settled
     ratio, moment, frame = settled.values
     upright = None if frame is None else jnp.zeros_like(frame) + jnp.asarray(SPACE.upright, frame.dtype)
-    start = Nodal(jnp.ones_like(ratio), jnp.zeros_like(moment), upright)
-    strain = None if settled.strain is None else jnp.zeros_like(settled.strain)
+    none = jax.tree.map(jnp.zeros_like, (moment, settled.strain))
+    start = Nodal(jnp.ones_like(ratio), none[0], upright), none[1]
     good, here = settled.load_path.converged, (settled.values, settled.strain)
-    values, strain = without_derivative(jax.tree.map(lambda x, guess: jnp.where(good, x, guess), here, (start, strain)))
+    values, strain = without_derivative(jax.tree.map(lambda x, guess: jnp.where(good, x, guess), here, start))
     return settled._replace(values=values, strain=strain)
 
 

@@ -11,16 +11,9 @@ import jax
 import jax.numpy as jnp
 
 from ..mechanics.problem import Moment, Number
+from ..numerics import tolerances as tol
 from ..numerics.arrays import largest_size
 from .shooting import Flag, Iterate, LoadedBody, Values, along_moment
-
-LARGEST_TURN = 1.0  # rad: the largest turn of a cross-section in one step along the path
-FIRST_TURN = 0.35  # rad: the turn at which the first step aims, because no prediction has been compared yet
-LARGEST_MISS = 0.2  # rad: the largest difference of a heading from its prediction
-LEAST_STEP = 1e-5  # of the loads
-CRITICAL_STEP = 1e-4  # of the loads: a longer step in which stability changes may have reached another branch
-MAX_TRIES = 200
-MAX_CORRECTIONS = 16  # iterations of one try
 
 
 class LoadPath(NamedTuple):
@@ -78,7 +71,7 @@ def follow_loads(body: LoadedBody, zero: Number) -> tuple[LoadPath, Iterate]:
     def advance(state: _Continuation) -> _Continuation:
         state = state._replace(iterate=body.iterate(state.iterate, state.fraction, state.fraction < 1.0))
         iterate = state.iterate
-        failed = iterate.lost | ((state.num_tries > 0) & (iterate.num_iterations >= MAX_CORRECTIONS))
+        failed = iterate.lost | ((state.num_tries > 0) & (iterate.num_iterations >= tol.MAX_CORRECTIONS))
         tried = ~state.arrived & (iterate.near | failed)
         return jax.tree.map(lambda new, old: jnp.where(tried, new, old), _next_try(body, state), state)
 
@@ -110,14 +103,14 @@ def _next_try(body: LoadedBody, state: _Continuation) -> _Continuation:
     first, iterate = state.num_tries == 0, state.iterate
     reached, on_path, missed = _reached(body, state)
     turned = jnp.where(first, 0.0, largest_size(reached.values.heading - state.point.values.heading))
-    accepted = on_path & (missed <= LARGEST_MISS) & (turned <= LARGEST_TURN)
+    accepted = on_path & (missed <= tol.LARGEST_MISS) & (turned <= tol.LARGEST_TURN)
     point = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), reached, state.point)
 
     remaining = 1.0 - point.fraction
     step = state.step * _step_factor(missed, accepted, on_path)
     step = jnp.minimum(jnp.minimum(step, _gentle_step(point, first)), remaining)
     tries, arrived = state.num_tries + 1.0, accepted & (point.fraction >= 1.0)
-    ended = ~arrived & ((~accepted & ((step < LEAST_STEP) | first)) | (tries >= MAX_TRIES))
+    ended = ~arrived & ((~accepted & ((step < tol.LEAST_STEP) | first)) | (tries >= tol.MAX_TRIES))
     predicted = _predict(point, jnp.where(ended | arrived, 0.0, step), iterate)
     here = {"near": arrived & iterate.near, "settled": arrived & iterate.settled}  # at the end it is the iterate itself
     return _Continuation(
@@ -146,22 +139,22 @@ def _reached(body: LoadedBody, state: _Continuation) -> tuple[_Point, Flag, Numb
     step = state.fraction - old.fraction
     expected = step * (old.slope.heading + step * old.bend.heading)
     missed = largest_size(iterate.values.heading - old.values.heading - expected)
-    stays = first | (stable == old.stable) | (state.step <= CRITICAL_STEP)
+    stays = first | (stable == old.stable) | (state.step <= tol.CRITICAL_STEP)
     finite = jnp.isfinite(sum(jnp.sum(x) for x in jax.tree.leaves(slope)))
     return new, iterate.near & finite & stays, jnp.where(first, 0.0, missed)
 
 
 def _step_factor(missed: Number, accepted: Flag, on_path: Flag) -> Number:
     """The factor on the last step. A prediction misses by the square of the step, as its `bend` is that of the last."""
-    ideal = jnp.sqrt(0.3 * LARGEST_MISS / jnp.maximum(missed, 1e-3))
+    ideal = jnp.sqrt(0.3 * tol.LARGEST_MISS / jnp.maximum(missed, 1e-3))
     shorter = jnp.where(on_path, jnp.clip(ideal, 0.1, 0.5), 0.25)
     return jnp.where(accepted, jnp.clip(ideal, 0.3, 4.0), shorter)
 
 
 def _gentle_step(point: _Point, first: Flag) -> Number:
     """The step, of the loads, in which the body turns as far as it may."""
-    turn = jnp.where(first, FIRST_TURN, 0.8 * LARGEST_TURN)
-    return turn / jnp.maximum(largest_size(point.slope.heading), 0.1 * LARGEST_TURN)
+    turn = jnp.where(first, tol.FIRST_TURN, 0.8 * tol.LARGEST_TURN)
+    return turn / jnp.maximum(largest_size(point.slope.heading), 0.1 * tol.LARGEST_TURN)
 
 
 def _predict(point: _Point, step: Number, iterate: Iterate) -> Iterate:

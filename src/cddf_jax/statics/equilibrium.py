@@ -161,6 +161,7 @@ class Dense(eqx.Module):
     order: int = eqx.field(static=True)  # nodes in each element
     starts: State
     nodes: State
+    ends: State
     solved: Bool[Array, ""]
 
     @property
@@ -170,7 +171,7 @@ class Dense(eqx.Module):
 
     def state(self, arc_length: Float[Array, ""]) -> State:
         """The integrated state at one arc length."""
-        return self.elements.interpolate(self.starts, self.nodes, arc_length)
+        return self.elements.interpolate(self.starts, self.nodes, self.ends, arc_length)
 
     def __call__(self, arc_length: Float[Array, ""]) -> AnyFields:
         """The fields at one arc length, tendons last."""
@@ -195,7 +196,8 @@ class Dense(eqx.Module):
         left, right = cut.edges[:-1, None], cut.edges[1:, None]
         places = left + cut.width[:, None] * FRACTIONS
         within = jnp.clip(places, left + nudge, right - nudge)  # at a joint each side has its own radius
-        states = jax.tree.map(lambda a, b: cut.resample(a, b, FRACTIONS), self.starts, self.nodes)
+        ends = self.starts, self.nodes, self.ends
+        states = jax.tree.map(lambda a, b, c: cut.resample(a, b, c, FRACTIONS), *ends)
         states = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), states)
         strain = jnp.abs(jax.vmap(self._strain)(within.ravel(), states))
         same = 64 * float(jnp.finfo(strain.dtype).eps)  # where the strain is constant, the first point counts

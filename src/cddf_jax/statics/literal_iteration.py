@@ -67,12 +67,12 @@ class LiteralIteration(eqx.Module):
         (heading_edges, heading), (position_edges, position) = integrate_shape(cut, answer.value)
         none = jnp.zeros_like(cut.edges), jnp.zeros_like(position_edges)
         edges = State(Pull(jnp.exp(gain * wrap_edges)), heading_edges, *none, None, wrap_edges, position_edges)
-        at_starts, at_nodes, at_tip = starts_of_newton(problem, answer.value)
+        at_starts, at_nodes, at_ends = starts_of_newton(problem, answer.value)
         pull, still, outboard = Pull(jnp.exp(gain * wrap)), jnp.zeros_like(heading), problem.outboard.nodes
         return Solution(
             starts=jax.tree.map(lambda x: x[:-1], edges)._replace(strain=at_starts),
             nodes=State(pull, heading, still, outboard, at_nodes, wrap, position),
-            tip=jax.tree.map(lambda x: x[-1], edges)._replace(strain=at_tip),
+            ends=jax.tree.map(lambda x: x[1:], edges)._replace(strain=at_ends),
             num_iterations=answer.num_iterations,
             residual=answer.change / cut.edges[-1],
             converged=answer.converged,

@@ -28,11 +28,8 @@ from ..mechanics.problem import (
     unstrained,
 )
 from ..mechanics.tendon_displacement import tendon_displacement
+from ..numerics import tolerances as tol
 from ..numerics.arrays import largest_size, relative_size, varying_as, zero_as
-
-ROUGH = 2e-2  # relative tolerance of the states along the path of the loads
-STEADY = 2e-1  # relative tolerance of the slopes along the path of the loads
-ROUGH_AT_START = 5e-2  # looser at load fraction 0: its state serves the first prediction only
 
 Tree = TypeVar("Tree")
 Flag = Bool[Array, ""]
@@ -120,7 +117,7 @@ class LoadedBody(NamedTuple):
         changed = relative_size(residual_slopes - before.residual_slopes, residual_slopes)
         exact = jnp.maximum(off, changed) <= 2 * _round_off(off) ** 0.5
         settled = sane & solution.converged & exact
-        rough = jnp.maximum(off, solution.residual), jnp.where(fraction == 0, ROUGH_AT_START, ROUGH)
+        rough = jnp.maximum(off, solution.residual), jnp.where(fraction == 0, tol.ROUGH_AT_START, tol.ROUGH)
         near = sane & self._is_near(before, slopes, residual_slopes, *rough)
         return Iterate(
             values=moved._replace(moment=found.moment + step),
@@ -165,11 +162,11 @@ class LoadedBody(NamedTuple):
         slope = self.problem.geometry.steepness(residual_slopes[:-1])
         enough = rough * jnp.minimum(1.0, slope)  # the sign of the slope must be known
         drift = residual_slopes - before.residual_slopes
-        steady = magnitude(drift[:-1]) <= STEADY * slope
-        steady &= relative_size(drift, residual_slopes) <= STEADY
+        steady = magnitude(drift[:-1]) <= tol.STEADY * slope
+        steady &= relative_size(drift, residual_slopes) <= tol.STEADY
         if self.problem.geometry.has_frames:  # where stability follows from the turns
             turns, last = slopes.heading[:-1], before.slopes.heading[:-1]
-            steady &= relative_size(turns - last, turns) <= STEADY
+            steady &= relative_size(turns - last, turns) <= tol.STEADY
         return (off <= enough) & steady
 
     def refine(self, end: Iterate, finer: "LoadedBody", fraction: Number) -> "Polished":

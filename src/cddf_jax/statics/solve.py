@@ -16,7 +16,8 @@ from ..mechanics.friction import unspent
 from ..mechanics.march import FixedPoint
 from ..mechanics.problem import Method, Problem, Solution, all_points, line_up
 from ..mechanics.tendon_displacement import tendon_displacement
-from ..mechanics.truncation_error import ACCURACY, truncation_error
+from ..mechanics.truncation_error import truncation_error
+from ..numerics import tolerances as tol
 from ..numerics.arrays import zero_as
 from ..numerics.fixed_point import without_derivative
 from ..programs.kept import kept_program
@@ -189,6 +190,7 @@ def _solve(
         problem.elements.order,
         solution.starts,
         solution.nodes,
+        solution.ends,
         solved,
     )
 
@@ -221,7 +223,7 @@ def _solve(
             (~found.determined, Status.undetermined),
             (crossing, Status.crossing),
             (~balance.load_path.stable, Status.unstable),
-            (truncation > ACCURACY, Status.inaccurate),
+            (truncation > tol.ACCURACY, Status.inaccurate),
             (jnp.any(contradicted), Status.direction_contradicted),
         ),
         _dense=dense,

@@ -19,15 +19,13 @@ from ..mechanics.problem import (
     with_tip_force,
 )
 from ..mechanics.tendon_displacement import tendon_displacement
+from ..numerics import tolerances as tol
 from ..numerics.fixed_point import solve_small
 from ..numerics.rotations import as_matrix, direction_of, length_of
 from ..robot.cross_section import SpatialSection, where_present
 from ..robot.profiles import Scalar, as_number
 from .balance import missing_moment
 from .settle import Setup
-
-PARALLEL = 1e-9  # sine of the angle between two axes that count as parallel
-FARTHEST = 100.0  # times the tension at which d kappa would come near 1: the search ends there
 
 
 @runtime_checkable
@@ -72,7 +70,7 @@ class TipPosition(eqx.Module):
         """The least and the most tension of each tendon, over a scale."""
         least = jnp.zeros_like(like) + jnp.asarray(self.minimum_tension, like.dtype) / scale
         if self.maximum_tension is None:
-            return least, jnp.maximum(least, FARTHEST)
+            return least, jnp.maximum(least, tol.FARTHEST)
         return least, jnp.zeros_like(like) + jnp.asarray(self.maximum_tension, like.dtype) / scale
 
     def on_the_side(self, setup: Setup) -> PerTendon:
@@ -153,7 +151,7 @@ class CurvatureAt(eqx.Module):
 
     def reading(self, setup: Setup, problem: Problem, solution: Solution, tendon: int) -> Number:
         arc_length = jnp.asarray(self.arc_length, problem.elements.edges.dtype)
-        state = problem.elements.interpolate(solution.starts, solution.nodes, arc_length)
+        state = problem.elements.interpolate(solution.starts, solution.nodes, solution.ends, arc_length)
         section = guarded_section(setup.manipulator, arc_length)
         strain = strain_of(section, problem.base_tension, state)
         return length_of((strain - section.rest)[1:3]) if isinstance(section, SpatialSection) else strain
@@ -199,7 +197,7 @@ def _across(heading: Array) -> Float[Array, " components"]:
         return jnp.stack([-jnp.sin(heading), jnp.cos(heading)])
     axes = as_matrix(heading).T
     leaning = axes[0] * axes[0, 0] - jnp.eye(3)[0]
-    return jnp.where(length_of(leaning) > PARALLEL, direction_of(leaning), axes[1])
+    return jnp.where(length_of(leaning) > tol.PARALLEL, direction_of(leaning), axes[1])
 
 
 def bending_tension(setup: Setup) -> Number:

@@ -12,26 +12,12 @@ from jaxtyping import Array, Bool, Float, Int
 from ..mechanics.directions import is_contradicted
 from ..mechanics.friction import PerTendon
 from ..mechanics.problem import Number, Problem, Solution
+from ..numerics import tolerances as tol
 from ..numerics.arrays import zero_as
 from ..numerics.fixed_point import slopes_by_unknowns, solve_small, without_derivative
 from .balance import Balance, Equations, System, balance, inside_of_bend
 from .settle import Settled, Setup, settle, unsettled
-from .targets import FARTHEST, CurvatureAt, Displacement, Target, TipAngle, TipPosition, bending_tension
-
-START = 0.05  # of the tension at which d kappa would come near 1
-OTHER_STARTS = (0.0, 0.5, 5.0)  # if there is no equilibrium at the first start
-MAX_EVALUATIONS = 200
-REACHED = 1e-9  # of the size of a target
-LEAST_MOVE = 1e-11, 1e-7  # relative change of the tensions below which the search ends: undamped, damped
-WELL_DETERMINED = 1e-8  # smallest pivot over the largest
-MAX_ROUNDS = 60  # of searches that lower the sum of the tensions
-OTHER_SEARCHES = 2  # where the first one does not reach the position, or not with directions that fit
-BEYOND = 1.25  # times the best tensions, where a search starts that looks for other directions
-LEAST_GAIN = 1e-10  # relative decrease of the sum; the rounds end at a smaller one
-SAME_EFFECT = 1e-6  # of the largest slope: a change of the tensions that moves the tip by less has no effect
-ALIKE = 1e-6  # relative: two misses that count as the same
-LEFT = 0.1  # of a tension after one step, where slopes vanish without tension: tip angle and curvature in space
-LEVEL = 1e-5  # change of the sum with a tension below which it counts as none
+from .targets import CurvatureAt, Displacement, Target, TipAngle, TipPosition, bending_tension
 
 Tensions = Float[Array, " unknowns"]  # over their scale
 Flags = Bool[Array, " unknowns"]
@@ -97,18 +83,18 @@ def reach(setup: Setup, given: PerTendon, targets: Targets) -> tuple[Balance, Fo
     in_space = setup.manipulator.in_space
     whole = in_space and any(isinstance(target, TipAngle) for target in wanted.values())
     vanishing = in_space and any(isinstance(target, TipAngle | CurvatureAt) for target in wanted.values())
-    start = jnp.full(len(wanted), START) + zero_as(scale, given, frozen_wanted)
+    start = jnp.full(len(wanted), tol.FIRST_TENSION) + zero_as(scale, given, frozen_wanted)
     aim = _Aim(
         evaluate=_evaluation(frozen_setup, frozen_given, tuple(wanted), misses, scale, whole),
         least=jnp.zeros_like(start),
-        most=jnp.full_like(start, FARTHEST),
+        most=jnp.full_like(start, tol.FARTHEST),
         pulled=jnp.asarray([isinstance(target, Displacement) for target in wanted.values()]),
-        left=LEFT if vanishing else 0.0,
+        left=tol.LEAST_LEFT if vanishing else 0.0,
     )
     best, slack = _search(aim, _nothing(frozen_setup, frozen_given, start, len(wanted)), start, start < 0)
     apart = slack[:, None] | slack | ~jnp.isfinite(best.jacobian)
     pivots = solve_small(jnp.where(apart, jnp.eye(len(wanted)), best.jacobian), best.residual)[1]
-    determined = pivots > WELL_DETERMINED
+    determined = pivots > tol.WELL_DETERMINED
     reached = jnp.isfinite(best.cost) & (jnp.max(jnp.where(slack, 0.0, jnp.abs(best.residual))) <= _tolerance(scale))
 
     free = reached & determined & ~slack
@@ -121,7 +107,7 @@ def reach(setup: Setup, given: PerTendon, targets: Targets) -> tuple[Balance, Fo
 
 
 def _tolerance(number: Number) -> float:
-    return max(REACHED, 1e2 * float(jnp.finfo(number.dtype).eps))
+    return max(tol.REACHED, 1e2 * float(jnp.finfo(number.dtype).eps))
 
 
 Wanted = dict[int, Target]  # by tendon
@@ -246,21 +232,21 @@ def _judge(aim: _Aim, held: Flags, trial: _TensionTrial, state: _TensionSearch) 
     damping = jnp.where(better, easier, jnp.maximum(4.0 * state.damping, 1.0))
     evaluations = state.num_evaluations + 1.0
     nowhere = ~jnp.isfinite(best.cost)
-    others = jnp.asarray((*OTHER_STARTS, 0.0), damping.dtype)
-    elsewhere = others[jnp.minimum(evaluations.astype(int) - 1, len(OTHER_STARTS))]
+    others = jnp.asarray((*tol.OTHER_TENSIONS, 0.0), damping.dtype)
+    elsewhere = others[jnp.minimum(evaluations.astype(int) - 1, len(tol.OTHER_TENSIONS))]
     # tendons that would have to push: should the search end now, it goes on without their targets
     pushing = state.slack & False
     if aim.pulled is not None:
-        pushing = aim.pulled & ~nowhere & ~state.slack & (best.tension == 0) & (best.residual > REACHED)
+        pushing = aim.pulled & ~nowhere & ~state.slack & (best.tension == 0) & (best.residual > tol.REACHED)
     slack = jnp.stack([state.slack, state.slack | pushing])
     steps = jax.vmap(partial(_step, aim, held, best))(jnp.stack([damping, 0.0 * damping]), slack)
     following = jnp.where(nowhere, jnp.clip(elsewhere, aim.least, aim.most), steps[0])
     move = jnp.max(jnp.abs(following - best.tension)) / (jnp.max(best.tension) + 1e-3)
-    least = jnp.where(damping >= 1.0, LEAST_MOVE[1], LEAST_MOVE[0])
-    done = jnp.where(nowhere, evaluations > len(OTHER_STARTS), move <= least)
+    least = jnp.where(damping >= 1.0, tol.LEAST_MOVE[1], tol.LEAST_MOVE[0])
+    done = jnp.where(nowhere, evaluations > len(tol.OTHER_TENSIONS), move <= least)
     again = done & jnp.any(pushing)
     slack, following = jnp.where(again, slack[1], slack[0]), jnp.where(again, steps[1], following)
-    done = (done & ~again) | (evaluations >= MAX_EVALUATIONS)
+    done = (done & ~again) | (evaluations >= tol.MAX_EVALUATIONS)
     return _TensionSearch(best, following, jnp.where(again, 0.0, damping), evaluations, better, slack, done)
 
 
@@ -346,7 +332,7 @@ def _least_total(aim: _Aim, setup: Setup, given: PerTendon, target: TipPosition)
     tensions beyond the best ones, where other directions may hold. Each further search starts after a change of the
     tensions that keeps the tip to first order and lowers their sum, and brings the tip back.
     """
-    alike = jnp.clip(START + zero_as(target, given) + jnp.zeros_like(given), aim.least, aim.most)
+    alike = jnp.clip(tol.FIRST_TENSION + zero_as(target, given) + jnp.zeros_like(given), aim.least, aim.most)
     nothing = _nothing(setup, given, alike, jnp.size(target.value))
     zero = zero_as(nothing)
     alike = alike + zero
@@ -355,20 +341,20 @@ def _least_total(aim: _Aim, setup: Setup, given: PerTendon, target: TipPosition)
     def next_round(state: _Rounds) -> _Rounds:
         found, _ = _search(aim, nothing, state.start, state.held)
         kept, good = _better(setup, found, state.kept)
-        longest = jnp.where(state.num_rounds <= OTHER_SEARCHES, jnp.inf, jnp.where(good, 2.0, 0.25) * state.length)
+        longest = jnp.where(state.num_rounds <= tol.OTHER_SEARCHES, jnp.inf, jnp.where(good, 2.0, 0.25) * state.length)
         change, gain = _downwards(aim, kept)
         start, length = _pushed(aim, kept.tension, change, longest)
         fine = (kept.cost <= _tolerance(zero) ** 2) & (_num_against(setup, kept) == 0)
-        another = (state.num_rounds < OTHER_SEARCHES) & ~fine
-        elsewhere = jnp.where(state.num_rounds < 1, alike, jnp.clip(BEYOND * kept.tension, aim.least, aim.most))
+        another = (state.num_rounds < tol.OTHER_SEARCHES) & ~fine
+        elsewhere = jnp.where(state.num_rounds < 1, alike, jnp.clip(tol.BEYOND * kept.tension, aim.least, aim.most))
         start = jnp.where(another, elsewhere, start)
         held = ~another & ((start <= aim.least) | (start >= aim.most))
-        rounds = jnp.where(another, state.num_rounds + 1.0, jnp.maximum(state.num_rounds, OTHER_SEARCHES) + 1.0)
-        small = ~(gain * length > LEAST_GAIN * (jnp.sum(kept.tension) + 1e-3))
-        over = ~another & (small | ~jnp.isfinite(kept.cost) | (rounds >= MAX_ROUNDS))
+        rounds = jnp.where(another, state.num_rounds + 1.0, jnp.maximum(state.num_rounds, tol.OTHER_SEARCHES) + 1.0)
+        small = ~(gain * length > tol.LEAST_GAIN * (jnp.sum(kept.tension) + 1e-3))
+        over = ~another & (small | ~jnp.isfinite(kept.cost) | (rounds >= tol.MAX_ROUNDS))
         return _Rounds(kept, start, held, length, longest, rounds, over)
 
-    towards = jnp.clip(START * target.on_the_side(setup), aim.least, aim.most) + zero
+    towards = jnp.clip(tol.FIRST_TENSION * target.on_the_side(setup), aim.least, aim.most) + zero
     first = _Rounds(nothing, towards, none, zero, zero + jnp.inf, zero, zero > 0)
     return jax.lax.while_loop(lambda state: ~state.over, next_round, first).kept
 
@@ -387,8 +373,8 @@ def _better(setup: Setup, found: _TensionTrial, kept: _TensionTrial) -> tuple[_T
     Where both miss equally: that in which fewer tendons travel against their direction, then that of the lower sum.
     """
     enough = _tolerance(found.cost) ** 2
-    nearer = (found.cost < (1 - ALIKE) * kept.cost) & (kept.cost > enough)
-    as_near = found.cost <= jnp.maximum((1 + ALIKE) * kept.cost, enough)
+    nearer = (found.cost < (1 - tol.ALIKE) * kept.cost) & (kept.cost > enough)
+    as_near = found.cost <= jnp.maximum((1 + tol.ALIKE) * kept.cost, enough)
     one, other = _num_against(setup, found), _num_against(setup, kept)
     lower = (one == other) & (jnp.sum(found.tension) < jnp.sum(kept.tension))
     good = nearer | (as_near & ((one < other) | lower))
@@ -404,7 +390,9 @@ def _downwards(aim: _Aim, trial: _TensionTrial) -> tuple[Tensions, Number]:
     low, high = trial.tension <= aim.least, trial.tension >= aim.most
     change, price = _without_effect(trial.jacobian, ~(low | high))
     wrong = jnp.where(low, -price, jnp.where(high, price, 0.0))
-    first = (jnp.arange(wrong.size) == jnp.argmax(wrong)) & (wrong > LEVEL) & (jnp.max(jnp.abs(change)) <= LEVEL)
+    first = (
+        (jnp.arange(wrong.size) == jnp.argmax(wrong)) & (wrong > tol.LEVEL) & (jnp.max(jnp.abs(change)) <= tol.LEVEL)
+    )
     change, _ = _without_effect(trial.jacobian, ~(low | high) | first)
     return change, -jnp.sum(change)
 
@@ -419,11 +407,11 @@ def _without_effect(jacobian: Float[Array, "components unknowns"], free: Flags) 
     ridge = _same_effect(normal) ** 2 * jnp.max(jnp.diag(normal)) + jnp.finfo(normal.dtype).tiny
     weight, _ = solve_small(normal + ridge * jnp.eye(normal.shape[0], dtype=normal.dtype), jnp.sum(used, axis=1))
     price = 1.0 - jacobian.T @ weight
-    return jnp.where(free & (jnp.abs(price) > LEVEL), -price, 0.0), price
+    return jnp.where(free & (jnp.abs(price) > tol.LEVEL), -price, 0.0), price
 
 
 def _same_effect(number: Array) -> float:
-    return max(SAME_EFFECT, 4 * float(jnp.finfo(number.dtype).eps) ** 0.5)
+    return max(tol.SAME_EFFECT, 4 * float(jnp.finfo(number.dtype).eps) ** 0.5)
 
 
 def _pushed(aim: _Aim, tension: Tensions, change: Tensions, longest: Number) -> tuple[Tensions, Number]:
