@@ -41,7 +41,6 @@ ON_DEMAND = {
     ("designing/results", "designing/report"),
     ("designing/pareto", "designing/report"),
 }
-SEARCH = "numerics/constrained"  # SciPy's, of which designs alone make use
 HEAVY = {"matplotlib", "typer", "rich", "pint", "pandas", "xarray", "zarr", "scipy", "optimistix"}
 
 
@@ -148,7 +147,7 @@ def test_the_tests_mirror_the_rooms():
     assert folders == set(ROOMS)
 
 
-@pytest.mark.parametrize("name", [name for name in FILES if room_of(name) in CORE and name != SEARCH])
+@pytest.mark.parametrize("name", [name for name in FILES if room_of(name) in CORE])
 def test_the_core_imports_nothing_heavy(name):
     assert not packages(name) & HEAVY
 

@@ -9,12 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
 
-from ..numerics.constrained import Point
 from ..programs.kept import kept_program
 from ..robot.manipulator import Manipulator
 from ..robot.profiles import Scalar
 from ..statics.status import Status
 from .body_quantities import BodyView
+from .constrained import Point
 from .free_numbers import FreeNumbers, Vector
 from .limits import Limit
 from .load_cases import LoadCase, alike, stacked

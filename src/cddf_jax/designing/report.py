@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..files.writing import markdown_table
-from ..numerics.constrained import TOLERANCE
 from ..units import Dimension, preferred, shown
+from .constrained import TOLERANCE
 from .free_numbers import is_angle
 from .results import Design, FreeNumber, LimitReport, number_in_words
 from .sensitivity import fixed_numbers

@@ -8,13 +8,13 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
-from ..numerics.constrained import ACTIVE, TOLERANCE, LocalMinimum
 from ..robot.manipulator import Manipulator
 from ..robot.named_numbers import unit_of_name
 from ..statics.equilibrium import Equilibrium
 from ..statics.status import Status, words_of
 from ..units import DIMENSION_OF, Dimension, shown
 from .body_quantities import loop_in_short_steps
+from .constrained import ACTIVE, TOLERANCE, LocalMinimum
 from .load_cases import LoadCase
 from .problem import DesignEvaluation, DesignProblem, pieces_of
 from .search import GAIN, NOT_ZERO, Restart, SearchResult, indifferent

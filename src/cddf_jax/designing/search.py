@@ -6,7 +6,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from ..numerics.constrained import (
+from ..progress import each, stage
+from ..statics.status import Status
+from .constrained import (
     ACTIVE,
     TOLERANCE,
     LocalMinimum,
@@ -15,8 +17,6 @@ from ..numerics.constrained import (
     minimise_constrained,
     optimality,
 )
-from ..progress import each, stage
-from ..statics.status import Status
 from .problem import USABLE, DesignEvaluation, DesignProblem, pieces_of
 
 WANDERING = 16  # last stations, which are moved to where limits are broken between the others

@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..numerics.constrained import LocalMinimum
 from ..programs.kept import kept_program
 from ..robot.named_numbers import Case, tip_of_winding
+from .constrained import LocalMinimum
 from .free_numbers import PLACE
 from .load_cases import case_numbers
 from .problem import DesignProblem, ProgramValues

@@ -16,7 +16,6 @@ from jaxtyping import Array, Bool, Float, Int
 from ..mechanics.fields import Fields
 from ..mechanics.problem import lay_out
 from ..numerics.arrays import varying_as, zero_as
-from ..numerics.differences import with_differences
 from ..programs.kept import kept_program
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
@@ -24,6 +23,7 @@ from ..statics.arguments import harmless, is_physical
 from ..statics.equilibrium import nan_unless
 from ..statics.status import Status, first_of
 from .cells import Cells, cut_into_cells, forces_along
+from .differences import with_differences
 from .history import Energies, History, States
 from .instants import (
     AT_LIMIT,

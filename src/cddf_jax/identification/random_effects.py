@@ -96,7 +96,7 @@ def _likeliest_spread(statistics: LeastSquaresFit, random: tuple[int, ...]) -> f
         whole[diagonal, diagonal] += np.exp(-2 * logarithm)
         return np.linalg.slogdet(whole)[1] + 2 * len(random) * logarithm - pull @ np.linalg.solve(whole, pull)
 
-    found = minimize_scalar(minus_twice, bounds=np.log(SPREADS), method="bounded", options={"xatol": 1e-5})
+    found: Any = minimize_scalar(minus_twice, bounds=np.log(SPREADS), method="bounded", options={"xatol": 1e-5})
     return float(np.exp(found.x))
 
 

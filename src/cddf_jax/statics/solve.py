@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from ..errors import SolveError
 from ..mechanics.directions import Directions, is_contradicted, not_stated
@@ -172,33 +172,24 @@ def _solve(
     manipulator, given, direction, (targets, loads) = harmless(*asked)
     setup = Setup(manipulator, direction, loads, method, nodes, to_find)
     balance, found = _equilibrium(setup, given, targets)
-    problem, solution = balance.problem, balance.solution
-    geometry = problem.geometry
+    physical = finite & is_physical(asked[0], asked[1], asked[2], balance.problem)
+    return _outputs(balance, found, physical & are_possible(targets, balance.problem), method)
 
-    physical = finite & is_physical(asked[0], asked[1], asked[2], problem) & are_possible(targets, problem)
-    solved = physical & balance.load_path.converged
-    at_tip = unspent(problem.base_tension, solution.tip.pull) / solution.tip.ratio
-    contradicted = solved & is_contradicted(problem.direction, balance.travel, problem.elements.edges[-1])
+
+def _outputs(balance: Balance, found: Found, physical: Bool[Array, ""], method: Method) -> Equilibrium:
+    """What `solve` returns."""
+    problem, solution, path = balance.problem, balance.solution, balance.load_path
+    solved = physical & path.converged
     truncation = balance.error_amplification * truncation_error(*without_derivative((problem, solution)), method)
-    crossing = jnp.any(inside_of_bend(problem, solution) >= 1.0)
     round_off = 4 * float(jnp.finfo(truncation.dtype).eps)
-    dense = Dense(
-        manipulator,
-        problem.base_tension,
-        problem.direction,
-        problem.elements.edges,
-        problem.elements.order,
-        solution.starts,
-        solution.nodes,
-        solution.ends,
-        solved,
-    )
-
+    contradicted = solved & is_contradicted(problem.direction, balance.travel, problem.elements.edges[-1])
+    dense = _dense(problem, solution, solved)
+    at_tip = unspent(problem.base_tension, solution.tip.pull) / solution.tip.ratio
     return Equilibrium(
         along=nan_unless(solved, _along(problem, solution, dense)),
         tip_position=nan_unless(solved, solution.tip.position),
-        tip_angle=nan_unless(solved, geometry.tip_angle(solution.tip.heading)),
-        tip_frame=nan_unless(solved, geometry.tip_frame(solution.tip.heading)),
+        tip_angle=nan_unless(solved, problem.geometry.tip_angle(solution.tip.heading)),
+        tip_frame=nan_unless(solved, problem.geometry.tip_frame(solution.tip.heading)),
         tip_tension=nan_unless(solved, at_tip),
         tension_loss=nan_unless(solved, 1.0 - _fraction_left(problem, solution) / solution.tip.ratio),
         tendon_displacement=nan_unless(solved, tendon_displacement(problem, solution.nodes)),
@@ -206,28 +197,41 @@ def _solve(
         target_miss=nan_unless(solved, found.miss),
         target_rank=found.rank,
         base_moment=nan_unless(solved, problem.base_moment),
-        load_fraction=balance.load_path.fraction,
-        num_load_steps=balance.load_path.num_steps.astype(int),
-        stable=solved & balance.load_path.stable,
+        load_fraction=path.fraction,
+        num_load_steps=path.num_steps.astype(int),
+        stable=solved & path.stable,
         direction=problem.direction,
         direction_contradicted=contradicted,
         error_estimate=nan_unless(solved, truncation + balance.error_amplification * (solution.residual + round_off)),
         num_iterations=solution.num_iterations.astype(int),
-        status=first_of(
-            (~physical, Status.unphysical),
-            (solution.locked, Status.locked),
-            (~(solution.converged & balance.load_path.resolved), Status.not_converged),
-            (~balance.load_path.converged, Status.load_limit),
-            (found.slack, Status.slack),
-            (~found.reached, Status.unreachable),
-            (~found.determined, Status.undetermined),
-            (crossing, Status.crossing),
-            (~balance.load_path.stable, Status.unstable),
-            (truncation > tol.ACCURACY, Status.inaccurate),
-            (jnp.any(contradicted), Status.direction_contradicted),
-        ),
+        status=_status(balance, found, physical, truncation, jnp.any(contradicted)),
         _dense=dense,
     )
+
+
+def _status(
+    balance: Balance, found: Found, physical: Bool[Array, ""], truncation: Number, contradicted: Bool[Array, ""]
+) -> Int[Array, ""]:
+    solution, path = balance.solution, balance.load_path
+    return first_of(
+        (~physical, Status.unphysical),
+        (solution.locked, Status.locked),
+        (~(solution.converged & path.resolved), Status.not_converged),
+        (~path.converged, Status.load_limit),
+        (found.slack, Status.slack),
+        (~found.reached, Status.unreachable),
+        (~found.determined, Status.undetermined),
+        (jnp.any(inside_of_bend(balance.problem, solution) >= 1.0), Status.crossing),
+        (~path.stable, Status.unstable),
+        (jnp.asarray(truncation > tol.ACCURACY), Status.inaccurate),
+        (contradicted, Status.direction_contradicted),
+    )
+
+
+def _dense(problem: Problem, solution: Solution, solved: Bool[Array, ""]) -> Dense:
+    cut, states = problem.elements, (solution.starts, solution.nodes, solution.ends)
+    tensions = problem.base_tension, problem.direction
+    return Dense(problem.manipulator, *tensions, cut.edges, cut.order, *states, solved)
 
 
 def _fraction_left(problem: Problem, solution: Solution) -> PerTendon | float:

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..mechanics.directions import is_contradicted
 from ..mechanics.friction import PerTendon
-from ..mechanics.problem import Number, Problem, Solution
+from ..mechanics.problem import Number, Problem, Solution, geometry_of
 from ..numerics import tolerances as tol
 from ..numerics.arrays import zero_as
 from ..numerics.fixed_point import slopes_by_unknowns, solve_small, without_derivative
@@ -80,9 +80,9 @@ def reach(setup: Setup, given: PerTendon, targets: Targets) -> tuple[Balance, Fo
     frozen_setup, frozen_given, frozen_wanted = without_derivative((setup, given, wanted))
     scale = bending_tension(frozen_setup)
     misses = Partial(_misses, frozen_setup, frozen_wanted)
-    in_space = setup.manipulator.in_space
-    whole = in_space and any(isinstance(target, TipAngle) for target in wanted.values())
-    vanishing = in_space and any(isinstance(target, TipAngle | CurvatureAt) for target in wanted.values())
+    frames = geometry_of(setup.manipulator).has_frames
+    whole = frames and any(isinstance(target, TipAngle) for target in wanted.values())
+    vanishing = frames and any(isinstance(target, TipAngle | CurvatureAt) for target in wanted.values())
     start = jnp.full(len(wanted), tol.FIRST_TENSION) + zero_as(scale, given, frozen_wanted)
     aim = _Aim(
         evaluate=_evaluation(frozen_setup, frozen_given, tuple(wanted), misses, scale, whole),
@@ -141,9 +141,7 @@ def _misses(setup: Setup, wanted: Wanted, problem: Problem, solution: Solution) 
 
 def _num_moments(setup: Setup) -> int:
     """How many numbers M_ext(0) has."""
-    if setup.loads is None:
-        return 0
-    return 3 if setup.manipulator.in_space else 1
+    return 0 if setup.loads is None else geometry_of(setup.manipulator).no_moment.size
 
 
 def _evaluation(

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cddf_jax.numerics.differences import with_differences
+from cddf_jax.history.differences import with_differences
 
 
 def power(given):

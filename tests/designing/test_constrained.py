@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from cddf_jax.numerics import constrained
-from cddf_jax.numerics.constrained import (
+from cddf_jax.designing import constrained
+from cddf_jax.designing.constrained import (
     TOLERANCE,
     Point,
     least_violation,
