@@ -6,6 +6,7 @@ The error of a base tension moves all readings of its row, and with a history la
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import jax
 import numpy as np
