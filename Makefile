@@ -45,6 +45,7 @@ benchmark: .venv/ready  ## accuracy and time of the methods, into out/benchmark/
 	$(BIN)/python benchmarks/program_size.py
 	$(BIN)/python benchmarks/methods.py
 	$(BIN)/python benchmarks/loads.py
+	$(BIN)/python benchmarks/error_estimate.py
 	$(BIN)/python benchmarks/interval_coverage.py
 	$(BIN)/python benchmarks/held_samples.py
 	$(BIN)/python benchmarks/loop_coverage.py

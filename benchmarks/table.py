@@ -29,6 +29,7 @@ PARTS = {
     "designs": "A design",
     "cold_start": "Cold start",
     "program_size": "Size of the programs",
+    "error_estimate": "The error estimate of 1,000 bodies",
     "methods": "Accuracy of the methods",
     "loads": "Accuracy under loads",
     "interval_coverage": "Coverage of intervals",
