@@ -148,12 +148,12 @@ def rates(
         kappa_rate = (force - jnp.sum(friction * t.turning)) / (stiffness + jnp.sum(friction * t.turning_slope))
         return Rates(kappa_rate, t.turning + t.turning_slope * kappa_rate)
 
-    if sign is not None:
-        return with_signs(sign)
     if _turns_with_the_body(section):
-        return with_signs(jnp.sign(t.turning))
-    frictionless = with_signs(jnp.zeros_like(t.turning))
-    return with_signs(jnp.sign(with_signs(jnp.sign(frictionless.turning)).turning))
+        found = jnp.sign(t.turning)
+    else:
+        frictionless = with_signs(jnp.zeros_like(t.turning))
+        found = jnp.sign(with_signs(jnp.sign(frictionless.turning)).turning)
+    return with_signs(found if sign is None else jnp.where(sign == 0, found, sign))
 
 
 def turning(

@@ -115,7 +115,7 @@ class Plane:
     ) -> Float[Array, "p tendons"]:
         """The signed rate psi' of each tendon at the nodes of an element, rad/m.
 
-        `sign`: of psi', with which friction acts; None to find it.
+        `sign`: of psi', with which friction acts; 0 or None to find it.
         """
         by_loads = jnp.zeros_like(strain) if moment_rate is None else moment_rate
         at_nodes = jax.vmap(bending.turning, (0, 0, 0, None, 0, None))

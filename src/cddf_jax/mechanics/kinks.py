@@ -37,7 +37,7 @@ class Tensions(NamedTuple):
     branches: Float[Array, "branches p tendons"]
     ratios: Float[Array, "branches p tendons"]  # r
     place: Number | None = None  # in [0, 1]; 1 where there is no kink
-    signs: Float[Array, "branches tendons"] | None = None  # of psi'; None where they are not known
+    signs: Float[Array, "branches tendons"] | None = None  # of psi'; None, or 0 where it is not one
 
     def totals(
         self,
@@ -123,8 +123,11 @@ def _where_turning_over(growth: Float[Array, "p tendons"]) -> tuple[Number, Arra
     place = jnp.min(places)
     apart = 2.0 * jnp.abs(totals(jnp.ones_like(place), growth)[0] - total_to_root(growth))
     over = (places < 1) & (places <= place + tol.TOGETHER)
-    early = jnp.where(growth[0] < 0, -1.0, 1.0)
-    return place, jnp.where(over, apart, 0.0), jnp.stack([early, jnp.where(over, -early, early)])
+    left = growth < 0
+    early, last = (jnp.where(side, -1.0, 1.0) for side in (left[0], left[-1]))
+    once = (jnp.sum(left[1:] != left[:-1], axis=0) == 1) & (early * last < 0)
+    late = jnp.where(over, jnp.where(once, -early, 0.0), jnp.where(early == last, early, 0.0))
+    return place, jnp.where(over, apart, 0.0), jnp.stack([jnp.where(over, early, late), late])
 
 
 def _apart_where_slack(growth: Float[Array, "2 p tendons"], place: Number) -> Float[Array, "p tendons"]:
