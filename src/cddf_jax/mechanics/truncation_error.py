@@ -39,7 +39,8 @@ def truncation_error(problem: Problem, solution: Solution, method: Method) -> Nu
         solution = once.finish(problem, nodal(problem, solution.nodes), solution.nodes.strain)
     missed = jnp.sum(jnp.abs(_gains(problem, found) - _gains(problem, solution)), axis=0)
     safety = tol.SAFETY * tol.WITH_KINKS if problem.has_kinks else tol.SAFETY
-    return jnp.maximum(safety * largest(missed), _unseen_turning(problem))
+    rounding = 16 * float(jnp.finfo(missed.dtype).eps)  # which `solve` adds by itself
+    return jnp.maximum(safety * jnp.maximum(largest(missed) - rounding, 0.0), _unseen_turning(problem))
 
 
 def _gains(problem: Problem, solution: Solution) -> Float[Array, "P values"]:
