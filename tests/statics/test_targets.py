@@ -224,7 +224,7 @@ def test_round_trip_under_loads(target):
     wanted = {"angle": angle, "displacement": displacement}[target]
     found = solver_of(target)(bodies, loads, jnp.asarray(wanted), tension)
     assert set(codes(found.status)) <= {Status.successful, Status.direction_contradicted}
-    # where the curvature changes its sign, displacements are right to 1e-8 of the length, and tensions to fifty times that
+    # where the curvature changes its sign, displacements are right to 1e-8 of the length, tensions to less
     np.testing.assert_allclose(found.base_tension, tension, rtol=ROUND_TRIP if target == "angle" else 3e-6)
     np.testing.assert_allclose(found.tip_angle, angle, atol=1e-8 if target == "angle" else 1e-6)
     np.testing.assert_allclose(found.tendon_displacement[:, 0], displacement, atol=1e-8)
