@@ -198,4 +198,4 @@ def test_the_estimate_knows_how_errors_grow_under_large_loads():
     loads = cddf.Loads((28.3, 5.8), 0.02, (-7.2, 4.4))
     coarse, fine = cddf.solve(body, 19.1, loads), cddf.solve(body, 19.1, loads, nodes=40)
     error = abs(coarse.tip_angle - fine.tip_angle)
-    assert 1e-12 < error < 2 * coarse.error_estimate < 1e-8
+    assert 1e-12 < error < 2 * coarse.error_estimate < 1e-6

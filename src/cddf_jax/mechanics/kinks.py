@@ -80,7 +80,7 @@ def tensions_along(section: AnySection, base_tension: PerTendon, pull: Pull, rou
     if pull.spent is None or rough:
         return Tensions(where_present(section, unspent(base_tension, pull) / size)[None], pull.ratio[None])
     left = base_tension - pull.spent
-    slack = first_root(left)
+    slack = jnp.where(left[-1] < left[0], first_root(left), 1.0)  # where drag adds tension, none becomes slack
     tension = where_present(section, left / size)
     taut = left > 0
     early, late = jnp.where((slack < 1) | taut[0], tension, 0.0), jnp.where((slack < 1) | ~taut[-1], 0.0, tension)
@@ -101,21 +101,23 @@ def with_smooth_ratios(
         growth: the signed r' over the direction, for an element of width 1, on each branch.
     """
     if tensions.place is None:
-        place, apart, signs = _where_turning_over(growth[0])
+        places, apart, signs = _where_turning_over(growth[0])
+        place = jnp.min(places)
         taut, left = 1.0, base_tension
     else:
-        place, apart, signs = tensions.place, _apart_where_slack(growth, tensions.place), None
+        place = places = tensions.place
+        apart, signs = _apart_where_slack(growth, place), None
         assert pull.spent is not None
         taut, left = jnp.where(tensions.branches != 0, 1.0, 0.0), base_tension - pull.spent
     ratio, apart = pull.ratio, direction * apart
-    beyond = jnp.asarray(gauss_rule(len(ratio)).nodes, ratio.dtype)[:, None] > place
+    beyond = jnp.asarray(gauss_rule(len(ratio)).nodes, ratio.dtype)[:, None] > places
     ratios = jnp.stack([jnp.where(beyond, ratio - apart, ratio), jnp.where(beyond, ratio, ratio + apart)])
     size = jnp.maximum(jnp.abs(ratios), jnp.finfo(ratio.dtype).eps)
     return Tensions(where_present(section, taut * left / size), ratios, place, signs)
 
 
-def _where_turning_over(growth: Float[Array, "p tendons"]) -> tuple[Number, Array, Array]:
-    """The first place where a tendon turns over, by how much the branches of r are apart, and the signs of psi'.
+def _where_turning_over(growth: Float[Array, "p tendons"]) -> tuple[Array, Array, Array]:
+    """Where tendons turn over, by how much the branches of r are apart, and the signs of psi'.
 
     Beyond that place, r' is |g| on one branch and -|g| on the other, so that r differs by 2 |integral of g from there|.
     """
@@ -127,7 +129,7 @@ def _where_turning_over(growth: Float[Array, "p tendons"]) -> tuple[Number, Arra
     early, last = (jnp.where(side, -1.0, 1.0) for side in (left[0], left[-1]))
     once = (jnp.sum(left[1:] != left[:-1], axis=0) == 1) & (early * last < 0)
     late = jnp.where(over, jnp.where(once, -early, 0.0), jnp.where(early == last, early, 0.0))
-    return place, jnp.where(over, apart, 0.0), jnp.stack([jnp.where(over, early, late), late])
+    return places, jnp.where(over, apart, 0.0), jnp.stack([jnp.where(over, early, late), late])
 
 
 def _apart_where_slack(growth: Float[Array, "2 p tendons"], place: Number) -> Float[Array, "p tendons"]:

@@ -6,7 +6,7 @@ CURVATURE_STEPS = 8  # from the curvature of parallel tendons: enough for roundi
 STRAIN_STEPS = 6  # from the strain at rest: likewise for a cross-section in space
 JOINT_STEPS = 6  # of r beyond a joint: r changes the angle there by mu d d' kappa only
 LAST_GAIN = 64.0  # times the tolerance of the march: above it another march is made, also where marches converge fast
-TOGETHER = 0.1  # of an element: tendons that turn over at a smaller distance are taken to do so at one place
+TOGETHER = 0.02  # of an element: tendons that turn over at a smaller distance are taken to do so at one place
 
 # directions of sliding
 LEAST_TRAVEL = 1e-6  # of the length: rounding errors of a travel contradict no direction
@@ -16,7 +16,7 @@ MOST_LISTED = 64  # of all choices: ten tendons do not take a thousand solves
 # error estimate
 ACCURACY = 1e-5  # a solve with a larger truncation error is not called successful
 SAFETY = 5.0  # factor on the difference of two quadratures, so that the estimate is not below the error
-WITH_KINKS = 2.0  # times more where kinks may disturb both quadratures alike
+WITH_KINKS = 4.0  # times more where kinks may disturb both quadratures alike
 KINK_ITERATIONS = 4  # marches that find kinks again, which the polynomials of the solution have rounded off
 MORE_NODES = 3  # in each element, for the second quadrature
 
