@@ -149,7 +149,7 @@ def _(primals, tangents, *, max_iterations):
 def _solve_where_regular(jacobian: Float[Array, "n n"], vector: Unknowns) -> Unknowns:
     """The solution; where the matrix is singular, that with the identity in its place."""
     size = jnp.max(jnp.abs(jacobian), axis=1)
-    regular = jnp.all(size != 0)  # NaN, of passes that do not settle, stays
+    regular = jnp.all(size != 0)  # NaN, of an iteration that does not settle, stays
     size, eye = jnp.where(regular, size, 1.0), jnp.eye(vector.size, dtype=vector.dtype)
     return solve_small(jnp.where(regular, jacobian / size[:, None], eye), vector / size)[0]
 
