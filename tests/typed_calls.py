@@ -64,7 +64,7 @@ def statics():
     cddf.tip_jacobian(robot, 20.0, nodes=8)
     cddf.self_contact(eq)
     winding = dataclasses.replace(robot, tendons=(cddf.Tendon(0.010, angle=cddf.Linear(0.0, 3.0, 0.14)),))
-    there = cddf.solve(winding, 20.0, nodes=8).at(np.array([0.0, 0.07]))
+    there = cddf.solve(winding, 20.0).at(np.array([0.0, 0.07]))
     assert isinstance(there, cddf.SpatialFields)
     assert there.twist.shape == (2,)
     history = cddf.trace(robot, [20.0, 10.0], nodes=8)
