@@ -1,10 +1,10 @@
-"""Where the tension of a tendon has a kink, and the two smooth branches that meet there.
+"""Where the tension of a tendon has a kink, and the smooth branches that meet there.
 
 Friction acts on |psi'|. Where a tendon turns over, psi' changes its sign, and the slope of r' jumps. Where drag has
-used up the tension of a tendon, it is slack, and the slope of the tension jumps. An element with such a place is
-integrated in two parts, up to the place and beyond it. In each part all rates are polynomials through values at the
-nodes, on the branch of that part continued over the whole element. Only the first place in an element counts; at
-another sign change the wrap angle is divided as well, but the branches are not.
+used up the tension of a tendon, it is slack, and the slope of the tension jumps. An element with such places is
+integrated in parts between them. In each part all rates are polynomials through values at the nodes, on the branch of
+that part continued over the whole element. Of each tendon the first place in an element counts; at another sign change
+the wrap angle is divided as well, but the branches are not.
 """
 
 from collections.abc import Callable
@@ -13,7 +13,6 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..numerics import tolerances as tol
 from ..numerics.elements import (
     Totals,
     first_root,
@@ -32,11 +31,11 @@ Number = Float[Array, ""]
 
 
 class Tensions(NamedTuple):
-    """The tensions at the nodes of an element, on one branch, or on two that meet at a place."""
+    """The tensions at the nodes of an element, on branches that meet at places."""
 
     branches: Float[Array, "branches p tendons"]
     ratios: Float[Array, "branches p tendons"]  # r
-    place: Number | None = None  # in [0, 1]; 1 where there is no kink
+    places: Float[Array, " places"] | None = None  # in [0, 1], increasing; 1 where there is no kink
     signs: Float[Array, "branches tendons"] | None = None  # of psi'; None, or 0 where it is not one
 
     def totals(
@@ -54,17 +53,18 @@ class Tensions(NamedTuple):
             size: the rate itself, its magnitude or its length.
             divided: integrates it over sub-intervals, and divides them where it is not smooth; None where it is.
         """
-        if self.place is None and divided is None:
+        if self.places is None and divided is None:
             return totals(width, size(rates[0]))
         over = divided or (lambda rate: gains(size(rate)))
-        return sums(width, over(rates[0]) if self.place is None else switched(over, size, rates, self.place))
+        return sums(width, over(rates[0]) if self.places is None else switched(over, size, rates, self.places))
 
     def at_nodes(self, values: Array) -> Array:
         """The values at the nodes, given for each branch."""
-        if self.place is None:
-            return values[0]
-        before = jnp.asarray(gauss_rule(values.shape[1]).nodes, values.dtype) < self.place
-        return jnp.where(before.reshape(-1, *[1] * (values.ndim - 2)), values[0], values[1])
+        found = values[0]
+        nodes = jnp.asarray(gauss_rule(values.shape[1]).nodes, values.dtype).reshape(-1, *[1] * (values.ndim - 2))
+        for place, beyond in zip([] if self.places is None else self.places, values[1:], strict=True):
+            found = jnp.where(nodes < place, found, beyond)
+        return found
 
 
 def tensions_along(section: AnySection, base_tension: PerTendon, pull: Pull, rough: bool = False) -> Tensions:
@@ -84,13 +84,19 @@ def tensions_along(section: AnySection, base_tension: PerTendon, pull: Pull, rou
     tension = where_present(section, left / size)
     taut = left > 0
     early, late = jnp.where((slack < 1) | taut[0], tension, 0.0), jnp.where((slack < 1) | ~taut[-1], 0.0, tension)
-    return Tensions(jnp.stack([early, late]), jnp.stack([pull.ratio] * 2), jnp.min(slack))
+    return Tensions(jnp.stack([early, late]), jnp.stack([pull.ratio] * 2), jnp.min(slack)[None])
 
 
 def with_smooth_ratios(
-    tensions: Tensions, section: AnySection, base_tension: PerTendon, pull: Pull, direction: PerTendon, growth: Array
+    tensions: Tensions,
+    section: AnySection,
+    base_tension: PerTendon,
+    pull: Pull,
+    direction: PerTendon,
+    growth: Array,
+    apart: bool,
 ) -> Tensions:
-    """The tensions along an element, whose branches of r are continued smoothly beyond the place where they meet.
+    """The tensions along an element, whose branches of r are continued smoothly beyond the places where they meet.
 
     Args:
         tensions: with r as it is.
@@ -99,37 +105,39 @@ def with_smooth_ratios(
         pull: the integrated friction there.
         direction: of the tendons.
         growth: the signed r' over the direction, for an element of width 1, on each branch.
+        apart: whether each tendon turns over at a place of its own; otherwise all do at one.
     """
-    if tensions.place is None:
-        places, apart, signs = _where_turning_over(growth[0])
-        place = jnp.min(places)
+    if tensions.places is None:
+        own, differs, signs = _where_turning_over(growth[0])
+        places = jnp.sort(own) if apart else jnp.min(own)[None]
         taut, left = 1.0, base_tension
     else:
-        place = places = tensions.place
-        apart, signs = _apart_where_slack(growth, place), None
+        places = own = tensions.places
+        differs, signs = _apart_where_slack(growth, places[0]), None
         assert pull.spent is not None
         taut, left = jnp.where(tensions.branches != 0, 1.0, 0.0), base_tension - pull.spent
-    ratio, apart = pull.ratio, direction * apart
-    beyond = jnp.asarray(gauss_rule(len(ratio)).nodes, ratio.dtype)[:, None] > places
-    ratios = jnp.stack([jnp.where(beyond, ratio - apart, ratio), jnp.where(beyond, ratio, ratio + apart)])
-    size = jnp.maximum(jnp.abs(ratios), jnp.finfo(ratio.dtype).eps)
-    return Tensions(where_present(section, taut * left / size), ratios, place, signs)
+    passed = own <= places[:, None] if apart else jnp.ones((1, *own.shape), bool)
+    late = jnp.concatenate([jnp.zeros((1, *own.shape), bool), passed])
+    beyond = jnp.asarray(gauss_rule(len(pull.ratio)).nodes, pull.ratio.dtype)[:, None] > own
+    change = direction * differs * (jnp.where(late[:, None], 1.0, 0.0) - jnp.where(beyond, 1.0, 0.0))
+    ratios = pull.ratio + change
+    size = jnp.maximum(jnp.abs(ratios), jnp.finfo(ratios.dtype).eps)
+    chosen = None if signs is None else jnp.where(late, signs[1], signs[0])
+    return Tensions(where_present(section, taut * left / size), ratios, places, chosen)
 
 
 def _where_turning_over(growth: Float[Array, "p tendons"]) -> tuple[Array, Array, Array]:
-    """Where tendons turn over, by how much the branches of r are apart, and the signs of psi'.
+    """Where tendons turn over, by how much the branches of r are apart, and the signs of psi' before and beyond.
 
     Beyond that place, r' is |g| on one branch and -|g| on the other, so that r differs by 2 |integral of g from there|.
     """
-    places = first_root(growth)
-    place = jnp.min(places)
-    apart = 2.0 * jnp.abs(totals(jnp.ones_like(place), growth)[0] - total_to_root(growth))
-    over = (places < 1) & (places <= place + tol.TOGETHER)
-    left = growth < 0
+    places, left = first_root(growth), growth < 0
+    differs = 2.0 * jnp.abs(totals(jnp.ones_like(places[0]), growth)[0] - total_to_root(growth))
     early, last = (jnp.where(side, -1.0, 1.0) for side in (left[0], left[-1]))
     once = (jnp.sum(left[1:] != left[:-1], axis=0) == 1) & (early * last < 0)
+    over = places < 1
     late = jnp.where(over, jnp.where(once, -early, 0.0), jnp.where(early == last, early, 0.0))
-    return places, jnp.where(over, apart, 0.0), jnp.stack([jnp.where(over, early, late), late])
+    return places, jnp.where(over, differs, 0.0), jnp.stack([early, late])
 
 
 def _apart_where_slack(growth: Float[Array, "2 p tendons"], place: Number) -> Float[Array, "p tendons"]:

@@ -161,11 +161,12 @@ def _turning(problem: Problem, part: Part, tensions: Tensions, strains: Array, m
 def _smooth(problem: Problem, start: State, part: Part, tensions: Tensions, pull: Pull) -> Tensions:
     """The tensions along an element in which tendons may turn over or become slack."""
     strains, moment_rate = _strains(problem, part, tensions), None
-    if not problem.geometry.has_closed_strain(problem.manipulator, loaded=False):  # a slanted tendon turns with kappa'
+    own = not problem.geometry.has_closed_strain(problem.manipulator, loaded=False)
+    if own:  # a slanted tendon turns with kappa'
         moment_rate = _headings(problem, start, part, tensions, strains)[2]
     turning = _turning(problem, part, tensions, strains, moment_rate)
     growth = part.width * ratio_factor(part.section, pull.ratio) * turning
-    return with_smooth_ratios(tensions, part.section, problem.base_tension, pull, problem.direction, growth)
+    return with_smooth_ratios(tensions, part.section, problem.base_tension, pull, problem.direction, growth, own)
 
 
 def _turned(

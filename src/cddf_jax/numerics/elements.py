@@ -220,23 +220,30 @@ def _(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
 
 
 def switched(
-    gains: Callable[[Array], Array], size: Callable[[Array], Array], branches: Float[Array, "2 p *k"], place: Array
+    gains: Callable[[Array], Array],
+    size: Callable[[Array], Array],
+    branches: Float[Array, "branches p *k"],
+    places: Float[Array, " places"],
 ) -> Float[Array, "q *k"]:
-    """The gains over the sub-intervals of a rate that is on one branch up to a place, and on the other beyond it.
+    """The gains over the sub-intervals of a rate that changes from one branch to the next at each place.
 
     Args:
         gains: a function that integrates a rate over the sub-intervals.
         size: what it integrates: the rate itself, its magnitude or its length.
-        branches: the rates at the nodes, equal at the place.
-        place: in [0, 1] of the element.
+        branches: the rates at the nodes, one branch more than places; equal where they meet.
+        places: in [0, 1] of the element, in increasing order.
     """
     rule, found = gauss_rule(branches.shape[1]), jax.vmap(gains)(branches)
-    t = (place - _along(rule.points[:-1], found[0])) / _along(rule.step, found[0])
-    early, late = jax.vmap(lambda rate: times(rule.quartics, rate))(branches)
-    within = jnp.clip(t, 0.0, 1.0).reshape(*t.shape, *[1] * (late.ndim - 1 - t.ndim))  # the rates may be vectors
-    beyond = _integral(late, jnp.ones_like(within)) - _integral(late, within)
-    divided = _along(rule.step, found[0]) * (size(_integral(early, within)) + size(beyond))
-    return jnp.where(t >= 1, found[0], jnp.where(t <= 0, found[1], divided))
+    curves = jax.vmap(lambda rate: times(rule.quartics, rate))(branches)
+    starts, step = (jnp.asarray(x, places.dtype) for x in (rule.points[:-1], rule.step))
+    cuts = jnp.clip((places[:, None] - starts) / step, 0.0, 1.0)
+    whole = jnp.ones_like(cuts[:1])
+    first, last = jnp.concatenate([0 * whole, cuts]), jnp.concatenate([cuts, whole])
+    wide = first.shape + (1,) * (curves.ndim - 3)  # the rates may be vectors
+    parts = jax.vmap(lambda curve, a, b: size(_integral(curve, b) - _integral(curve, a)))
+    divided = _along(rule.step, found[0]) * parts(curves, first.reshape(wide), last.reshape(wide))
+    undivided = ((first <= 0) & (last >= 1)).reshape(first.shape + (1,) * (found.ndim - 2))
+    return jnp.sum(jnp.where(undivided, found, divided), axis=0)
 
 
 def gains_of_length(rate: Float[Array, "p *k n"]) -> Float[Array, "q *k"]:

@@ -6,7 +6,6 @@ CURVATURE_STEPS = 8  # from the curvature of parallel tendons: enough for roundi
 STRAIN_STEPS = 6  # from the strain at rest: likewise for a cross-section in space
 JOINT_STEPS = 6  # of r beyond a joint: r changes the angle there by mu d d' kappa only
 LAST_GAIN = 64.0  # times the tolerance of the march: above it another march is made, also where marches converge fast
-TOGETHER = 0.02  # of an element: tendons that turn over at a smaller distance are taken to do so at one place
 
 # directions of sliding
 LEAST_TRAVEL = 1e-6  # of the length: rounding errors of a travel contradict no direction

@@ -98,7 +98,7 @@ def solve(
     `target_miss` that is left, and whose derivatives are taken at these tensions.
     Derivatives are one-sided where the curvature is zero along a stretch of the body (no tension and no load, or
     antagonists that cancel): friction acts on |kappa|, whose slope there is taken as that of kappa > 0. Across
-    isolated changes of sign first derivatives are right to 1e-6 or better, for slanted pairs to 5e-5, and second ones
+    isolated changes of sign first derivatives are right to 1e-6 or better, and second ones
     to 1e-4.
     Where drag has used up the tension of a tendon that slides in, the tendon is slack: it has no tension and no
     friction, and follows the body. Its tip tension is 0, and so are the derivatives of the tip tension.
