@@ -13,10 +13,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from ..errors import InputError
-from ..mechanics.bending import slip_rate, stretch_rate, turning
+from ..mechanics.bending import slip_rate, stretch_rate
 from ..mechanics.directions import Directions
-from ..mechanics.friction import PerTendon, tension_rate, unspent
-from ..mechanics.geometry import PLANE, axis_of
+from ..mechanics.friction import PerTendon
 from ..mechanics.march import FixedPoint
 from ..mechanics.problem import (
     Method,
@@ -198,7 +197,8 @@ def _energy_balance(setup: Setup, base_tension: PerTendon, status: Int[Array, ""
 
     def along(fraction):
         stage, rate = jax.jvp(lambda x: _stage(setup, x * base_tension), (fraction,), (jnp.ones_like(fraction),))
-        return stage, fraction * base_tension * rate.displacement, _dissipation(stage, rate)
+        pulled = fraction * base_tension
+        return stage, pulled * rate.displacement, _dissipation(pulled, stage, rate)
 
     stages, power, dissipation = jax.vmap(along)(fraction)
     weights = jnp.asarray(rule.weights, base_tension.dtype)
@@ -209,7 +209,6 @@ def _energy_balance(setup: Setup, base_tension: PerTendon, status: Int[Array, ""
 
 
 slip_along = at_nodes(slip_rate, (0, 0, 0, None))
-turning_along = at_nodes(turning, (0, 0, 0, None, 0))
 
 
 class _Stage(NamedTuple):
@@ -218,11 +217,8 @@ class _Stage(NamedTuple):
     displacement: PerTendon
     elastic_energy: Number
     load_energy: Number  # potential of the dead loads
-    slide: Float[Array, "P p tendons"]  # of the tendon towards the base, at each cross-section, m
-    slide_at_starts: Float[Array, "P tendons"]
-    friction: Float[Array, "P p tendons"]  # -T', N/m
-    drop: Float[Array, "P tendons"]  # of the tension where a tendon turns by a finite angle, N
-    width: Float[Array, " P"]
+    tension: Float[Array, "P p tendons"]
+    slip: Float[Array, "P p tendons"]  # length of tendon by which the part of each node shortens, m
     converged: Bool[Array, ""]
 
 
@@ -232,12 +228,6 @@ def _stage(setup: Setup, base_tension: PerTendon) -> _Stage:
     section = planar(problem.nodes)
     tension = tension_of(section, base_tension, solution.nodes.pull)
     kappa = strain_along(section, base_tension, solution.nodes)
-    edges, inner = cut.integrate(slip_along(section, kappa, tension, problem.manipulator.tendon_compliance))
-    moment_rate = PLANE.moment_rate(axis_of(solution.nodes.heading), solution.nodes.force)
-    turning = turning_along(section, kappa, tension, problem.direction, moment_rate)
-    friction = -tension_rate(problem.direction, section, turning, tension)
-    starts = unspent(base_tension, solution.starts.pull) / solution.starts.ratio
-    arriving = jnp.concatenate([base_tension[None], (starts - cut.gain(friction))[:-1]])
     body = problem.manipulator
     stretching = jnp.sum(tension * stretch_rate(body.tendon_compliance, tension, section), axis=-1)
     outside = jnp.sum(base_tension * stretch_rate(body.tendon_compliance, base_tension) * body.tendon_free_length)
@@ -245,11 +235,8 @@ def _stage(setup: Setup, base_tension: PerTendon) -> _Stage:
         displacement=tendon_displacement(problem, solution.nodes),
         elastic_energy=jnp.sum(cut.gain(section.stiffness * kappa**2 + stretching)) / 2 + outside / 2,
         load_energy=_load_energy(problem, solution),
-        slide=edges[-1] - inner,
-        slide_at_starts=edges[-1] - edges[:-1],
-        friction=friction,
-        drop=arriving - starts,
-        width=cut.width,
+        tension=tension,
+        slip=(cut.shares * cut.edges[-1])[..., None] * slip_along(section, kappa, tension, body.tendon_compliance),
         converged=there.load_path.converged,
     )
 
@@ -266,8 +253,9 @@ def _load_energy(problem: Problem, solution: Solution) -> Number:
     return -(jnp.asarray(loads.tip_force) @ at_tip + loads.tip_moment * solution.tip.heading + lifted)
 
 
-def _dissipation(stage: _Stage, rate: _Stage) -> PerTendon:
-    """Friction force times sliding, per unit of the pull, J."""
-    weights = jnp.asarray(gauss_rule(stage.friction.shape[1]).weights, stage.friction.dtype)
-    along = jax.vmap(lambda w, f: w * (weights @ f))(stage.width, stage.friction * rate.slide)
-    return jnp.sum(along + stage.drop * rate.slide_at_starts, axis=0)
+def _dissipation(base_tension: PerTendon, stage: _Stage, rate: _Stage) -> PerTendon:
+    """Friction force times sliding, per unit of the pull, J.
+
+    The integral of -T' times the sliding, by parts: the tendon slides at s by the sum of the slip from s to the tip.
+    """
+    return jnp.sum((base_tension - stage.tension) * rate.slip, axis=(0, 1))
