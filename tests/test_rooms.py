@@ -14,7 +14,6 @@ SOURCE = Path(cddf.__file__).parent
 TESTS = Path(__file__).parent
 # a room imports only from rooms above it in this list, and from the modules at the top of the package
 ROOMS = (
-    "programs",
     "numerics",
     "robot",
     "mechanics",
@@ -153,7 +152,7 @@ def test_the_core_imports_nothing_heavy(name):
 
 
 def test_the_statistics_know_nothing_of_manipulators():
-    of_statistics = {"", "programs", "numerics", "batch", "estimation"}
+    of_statistics = {"", "numerics", "batch", "estimation"}
     for name in FILES:
         if room_of(name) in ("numerics", "estimation"):
             assert {room_of(imported) for imported in our_imports(name)} <= of_statistics, name

@@ -4,7 +4,6 @@
 """
 
 import dataclasses
-import os
 import sys
 from pathlib import Path
 
@@ -15,7 +14,6 @@ from places import DATA
 
 jax.config.update("jax_enable_x64", True)
 CHECKER = "beartype.beartype(conf=beartype.BeartypeConf(strategy=beartype.BeartypeStrategy.On))"
-os.environ["CDDF_PROGRAMS"] = "off"  # the description of a kept program has places where the annotations say arrays
 with install_import_hook("cddf_jax", CHECKER):
     import cddf_jax as cddf
 

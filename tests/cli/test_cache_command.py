@@ -4,28 +4,21 @@ import json
 
 import pytest
 
-from cddf_jax.programs import folder
+from cddf_jax import application
 
 
-@pytest.fixture(autouse=True)
-def place(tmp_path, monkeypatch):
-    monkeypatch.setenv(folder.VARIABLE, str(tmp_path / "programs"))
-    return tmp_path / "programs"
-
-
-def test_it_is_shown_and_emptied(cddf_command, place):
-    folder.write("key", folder.Entry({}, b"content"))
-    size = (place / "key.program").stat().st_size
+def test_it_is_shown_and_emptied(cddf_command, tmp_path, monkeypatch):
+    monkeypatch.setattr(application, "keep_programs", lambda: tmp_path)
+    for name in ("jit_f-1-cache", "jit_g-2-cache", "of_somebody_else"):
+        (tmp_path / name).write_bytes(bytes(60_000))
     code, out, err = cddf_command("cache", "--json")
-    most = folder.LARGEST
-    shown = {"folder": str(place), "programs": 1, "bytes": size, "most_bytes": most, "removed": 0}
+    shown = {"folder": str(tmp_path), "programs": 2, "bytes": 120_000, "removed": False}
     assert (code, json.loads(out), err) == (0, shown, "")
-    code, out, _ = cddf_command("cache", "--empty")
-    assert (code, out) == (0, f"1 removed; {place}: 0 programs, 0.0 MB of at most {most / 1e6:.0f} MB\n")
-    assert not list(place.iterdir())
+    assert cddf_command("cache", "--empty")[:2] == (0, f"{tmp_path}: 2 programs, 0.1 MB removed\n")
+    assert [path.name for path in tmp_path.iterdir()] == ["of_somebody_else"]
 
 
-def test_an_empty_folder_and_none(cddf_command, place, monkeypatch):
-    assert cddf_command("cache")[1].startswith(f"{place}: 0 programs, 0.0 MB")
-    monkeypatch.setenv(folder.VARIABLE, "off")
-    assert cddf_command("cache")[1] == "nothing is kept: CDDF_PROGRAMS is off\n"
+@pytest.mark.parametrize("arguments", [(), ("--empty",)])
+def test_a_folder_that_is_not_there_is_empty(cddf_command, tmp_path, monkeypatch, arguments):
+    monkeypatch.setattr(application, "keep_programs", lambda: tmp_path / "none")
+    assert cddf_command("cache", *arguments)[1].startswith(f"{tmp_path / 'none'}: 0 programs, 0.0 MB")

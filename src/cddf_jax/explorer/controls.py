@@ -8,7 +8,7 @@ import numpy as np
 
 from ..identification.parameters import starting_value, stiffness_parameter
 from ..measurements.table import Measurements
-from ..programs.evaluated import evaluated
+from ..numerics.arrays import evaluated
 from ..quantities import QUANTITIES, Quantity
 from ..robot.manipulator import Manipulator
 from ..robot.named_numbers import of_tendon
