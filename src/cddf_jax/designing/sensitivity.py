@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..robot.named_numbers import Case, tip_of_winding
+from ..statics.named_numbers import Case, tip_of_winding
 from .constrained import LocalMinimum
 from .free_numbers import PLACE
 from .load_cases import case_numbers

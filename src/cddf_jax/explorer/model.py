@@ -21,10 +21,10 @@ from ..mechanics.fields import AnyFields
 from ..robot.cross_section import Kinematics
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
-from ..robot.named_numbers import Case, of_tendon
 from ..robot.reshape import tapered
 from ..robot.validation import check_weight
 from ..statics.equilibrium import Equilibrium
+from ..statics.named_numbers import Case, of_tendon
 from ..statics.solve import solve
 from ..statics.targets import TipAngle
 from .answers import Curve, Picture, Taper, where_good

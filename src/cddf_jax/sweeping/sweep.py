@@ -23,8 +23,8 @@ from ..mechanics.march import FixedPoint
 from ..mechanics.problem import Method
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
-from ..robot.named_numbers import Case, holds, of_tendon
 from ..statics.equilibrium import Equilibrium
+from ..statics.named_numbers import Case, holds, of_tendon
 from ..statics.targets import Actuation
 from . import one_solve
 from .axes import PATH, Dimension, dimensions_of
