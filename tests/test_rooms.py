@@ -32,10 +32,9 @@ ROOMS = (
     "cli",
 )
 CORE = ROOMS[: ROOMS.index("statics") + 1]
-# asked for when it is called, not on import: `Manipulator.validate` and what `print` shows
+# asked for when it is called, not on import: `Manipulator.validate` and what `print` shows of results
 ON_DEMAND = {
     ("robot/manipulator", "robot/validation"),
-    ("robot/manipulator", "robot/manipulator_text"),
     ("statics/equilibrium", "statics/equilibrium_text"),
     ("designing/results", "designing/report"),
     ("designing/pareto", "designing/report"),
