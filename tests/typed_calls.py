@@ -20,6 +20,7 @@ with install_import_hook("cddf_jax", CHECKER):
     assert all(getattr(cddf, name) for name in cddf.__all__)  # loaded now, under the hook
 
 OUT = Path(sys.argv[1])
+cddf.keep_programs(OUT / "programs")
 TAPER = {"length": 0.14, "outer_radius": (0.020, 0.013), "inner_radius": 0.007, "tendon_offset": 0.010}
 MATERIAL = {"youngs_modulus": 1.4e6, "friction_coefficient": 0.42, "density": 1070.0}
 robot = cddf.conical(**TAPER, **MATERIAL)
