@@ -27,7 +27,7 @@ from jax.sharding import NamedSharding, PartitionSpec
 from table import report
 
 import cddf_jax as cddf
-from cddf_jax.application import configure_jax_for_batches
+from cddf_jax.application import configure_jax
 from cddf_jax.identification.parameters import with_parameters
 
 COUNT, LOADED, ROUNDS = 102_400, 16_384, 15
@@ -215,7 +215,7 @@ def loaded_rows(robot: cddf.Manipulator, samples: tuple) -> dict:
 
 def main() -> None:
     """Measure, print and save."""
-    configure_jax_for_batches()
+    configure_jax(all_cores=True)
     jax.config.update("jax_num_cpu_devices", DEVICES)
     robot, rng = paper(), np.random.default_rng(0)
     ranges = ((5.0, 85.0), (0.1, 0.6), (1e6, 2e6))

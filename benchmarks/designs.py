@@ -110,7 +110,7 @@ def error(radii: np.ndarray) -> float:
 
 def main() -> None:
     """Measure, print and save."""
-    configure_jax(quick_compilation=False)
+    configure_jax()
     import jax
 
     jax.config.update("jax_enable_compilation_cache", False)

@@ -185,5 +185,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    configure_jax(quick_compilation=False)
+    configure_jax()
     main()

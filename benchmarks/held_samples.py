@@ -85,7 +85,7 @@ def coverage(lag_one: float) -> dict[str, Any]:
 
 def main() -> None:
     """Simulate, print and save."""
-    configure_jax(quick_compilation=False)
+    configure_jax()
     results = {f"lag one {lag_one:g}": coverage(lag_one) for lag_one in (0.95, 0.0)}
     text = as_json({"benches": BENCHES, "samples a hold": SAMPLES, "seed": SEED, "results": results})
     print(text)

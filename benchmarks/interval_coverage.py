@@ -160,7 +160,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--experiments", type=int, default=EXPERIMENTS, help="of each kind of noise")
     experiments = parser.parse_args().experiments
-    configure_jax(quick_compilation=False)
+    configure_jax()
     results = {}
     for name, scenario in SCENARIOS.items():
         begin = time.perf_counter()

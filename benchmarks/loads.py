@@ -121,7 +121,7 @@ def measure(robot: cddf.Manipulator, force: tuple[float, float] | None) -> dict[
 
 def main() -> None:
     """Measure, print and save."""
-    configure_jax(quick_compilation=False)
+    configure_jax()
     jax.config.update("jax_enable_compilation_cache", False)
     robot = cddf.read_manipulator(Path(__file__).parents[1] / "data" / "smooth_sil_940.toml")
     robot = replace(robot, kinematics="exact")

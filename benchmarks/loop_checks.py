@@ -99,7 +99,7 @@ def markdown(results: dict[str, dict[str, float]]) -> str:
 
 def main() -> None:
     """Simulate, print and save."""
-    configure_jax(quick_compilation=False)
+    configure_jax()
     results = {name: noticed(change) for name, change in CHANGES.items()}
     text = markdown(results)
     report("loop_checks", text, {"loops": LOOPS, "seed": SEED, "noticed": results})

@@ -200,7 +200,7 @@ def main() -> None:
     parser.add_argument("--loops", type=int, help="of each scenario, in place of its own number")
     parser.add_argument("--linear", action="store_true", help="readings that are linear in the parameters")
     asked = parser.parse_args()
-    configure_jax(quick_compilation=False)
+    configure_jax()
     covered = linear_coverage if asked.linear else coverage
     results = {name: covered(SCENARIOS[name], asked.loops or SCENARIOS[name].loops) for name in asked.scenarios}
     report("loop_coverage", markdown(results), {"seed": SEED, "results": results})

@@ -107,7 +107,7 @@ def numpy_iteration(robot: cddf.Manipulator) -> float:
 
 def main() -> None:
     """Measure, print and save."""
-    configure_jax(quick_compilation=False)
+    configure_jax()
     jax.config.update("jax_enable_compilation_cache", False)
     robot = cddf.read_manipulator(Path(__file__).parents[1] / "data" / "smooth_sil_940.toml")
     truth = float(cddf.closed_form_tension(robot, PULL, robot.length))

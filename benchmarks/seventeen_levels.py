@@ -163,7 +163,7 @@ def table_of(readings: np.ndarray) -> cddf.Measurements:
 
 def main() -> None:
     """Measure, print and save."""
-    configure_jax(quick_compilation=False)
+    configure_jax()
     rng = np.random.default_rng(0)
     readings = np.asarray(by_solve(*TRUTH)) + np.array(list(NOISE.values())) * rng.normal(size=(LEVELS.size, 3))
     table = table_of(readings)

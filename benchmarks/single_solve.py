@@ -58,7 +58,7 @@ def median_ms(call: Callable[[], Any]) -> float:
 
 def main() -> None:
     """Measure, print and save."""
-    configure_jax(quick_compilation=False)
+    configure_jax()
     calls: dict[tuple[str, str], Callable[[], Any]] = {}
     errors = {}
     for name, (body, pull, force) in CASES.items():

@@ -19,7 +19,7 @@ from batch import DEVICES, batched, interleaved, on_devices, paper
 from table import report
 
 import cddf_jax as cddf
-from cddf_jax.application import configure_jax_for_batches
+from cddf_jax.application import configure_jax
 
 COUNT, CHUNK = 102_400, 1_280
 STEPS, FEWER = (8, 16, 32), (5, 6, 8)  # of RK4; nodes beside the default of 16
@@ -119,7 +119,7 @@ def columns(found: Any) -> np.ndarray:
 
 def main() -> None:
     """Run, print and store the table."""
-    configure_jax_for_batches()
+    configure_jax(all_cores=True)
     jax.config.update("jax_num_cpu_devices", DEVICES)
     robot, rng = three_tendons(), np.random.default_rng(0)
     samples = tuple(jax.device_put(jnp.asarray(rng.uniform(1.0, 40.0, COUNT)), on_devices()) for _ in range(3))

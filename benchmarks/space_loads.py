@@ -24,7 +24,7 @@ from space import ANGLES, columns, three_tendons
 from table import report
 
 import cddf_jax as cddf
-from cddf_jax.application import configure_jax_for_batches
+from cddf_jax.application import configure_jax
 
 COUNT = 1_024
 PULLS, FORCES = (5.0, 40.0), (0.1, 1.0)  # N: the tensions, and the largest of each component of the tip force
@@ -239,7 +239,7 @@ def rows_of(robot: cddf.Manipulator, largest: float) -> dict[str, dict[str, floa
 
 def main() -> None:
     """Run, print and store the table."""
-    configure_jax_for_batches()
+    configure_jax(all_cores=True)
     jax.config.update("jax_num_cpu_devices", DEVICES)
     robot, text = three_tendons(), []
     results = {f"components up to {largest:g} N": rows_of(robot, largest) for largest in FORCES}

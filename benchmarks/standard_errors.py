@@ -77,7 +77,7 @@ def markdown(rows: Mapping[str, tuple[float, float, float]]) -> str:
 
 def main() -> None:
     """Simulate, print and save."""
-    configure_jax(quick_compilation=False)
+    configure_jax()
     begin = time.perf_counter()
     names = ["friction_coefficient", "youngs_modulus", "length", "angle_zero", *PRIORS]
     rows = compare(fit_at_truth(names), REPLICATES)

@@ -26,7 +26,7 @@ from paper import paper_body
 from table import report
 
 import cddf_jax as cddf
-from cddf_jax.application import configure_jax_for_batches
+from cddf_jax.application import configure_jax
 
 ROUNDS = 3
 FORCE = {"loads": cddf.Loads(tip_force=(0.0, -1.0))}
@@ -62,7 +62,7 @@ def peak() -> float:
 
 def child(asked: dict[str, Any]) -> dict[str, float]:
     """Measure one row; it runs in its own process."""
-    configure_jax_for_batches()
+    configure_jax(all_cores=True)
     if asked.get("numba"):
         return loop(asked)
     jax.config.update("jax_num_cpu_devices", asked.get("devices", os.cpu_count()))

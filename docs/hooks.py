@@ -238,7 +238,6 @@ def _run(command: str) -> str:
         contextlib.redirect_stderr(said),
         mock.patch.object(sys, "argv", shlex.split(command.replace("\\\n", " "))),
         mock.patch.object(application, "configure_jax"),
-        mock.patch.object(application, "configure_jax_for_batches"),
     ):
         try:
             cli.main()

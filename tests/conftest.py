@@ -5,18 +5,19 @@ import os
 import sys
 from pathlib import Path
 
-from cddf_jax.application import QUICK_COMPILATION
-
 # compiling is most of the run time of the suite, and the compiled programs are small; every core has a worker of its
-# own, so that one thread for each of them does
-os.environ.setdefault("XLA_FLAGS", f"{QUICK_COMPILATION} --xla_cpu_parallel_codegen_split_count=1")
+# own, so that one thread for each of them does; the flags are those of the jaxlib in constraints.txt
+os.environ.setdefault(
+    "XLA_FLAGS",
+    "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1",
+)
+os.environ["JAX_ENABLE_COMPILATION_CACHE"] = "false"  # no test depends on what earlier runs left on the disk
 
 import jax
 import pytest
 from hypothesis import Phase, settings
 
 from cddf_jax import progress
-from cddf_jax.programs.kept import PROGRAMS
 
 # tracing makes many small objects that live: looking for garbage among them took a quarter of its time
 gc.set_threshold(200_000, 50, 50)
@@ -36,9 +37,8 @@ MAPS = Path("/proc/self/maps")
 MANY_MAPS = 40_000
 
 
-# The first of these files clears all that JAX has compiled: later that takes long, and others would compile again.
-# The rest have single tests that take long: one that starts last would leave the other workers without work.
-FIRST = ("test_kept", "test_design", "test_fit_command", "test_loads", "test_fit", "test_targets", "test_reference")
+# These have single tests that take long: one that starts last would leave the other workers without work.
+FIRST = ("test_design", "test_fit_command", "test_loads", "test_fit", "test_targets", "test_reference")
 FIRST += ("test_work", "test_soft_tentacle", "test_driven", "test_trace_in_space", "test_stepped", "test_space")
 
 
@@ -52,19 +52,18 @@ def _let_compiled_programs_go():
     """Between the files of a long run, before there are too many."""
     yield
     if MAPS.exists() and MAPS.read_bytes().count(b"\n") > MANY_MAPS:
-        PROGRAMS.clear()
         jax.clear_caches()
         gc.collect()
 
 
 @pytest.fixture
 def said(monkeypatch):
-    """Every stage that work says to those who asked, in order, but compiling, which is kept; nothing is shown."""
+    """Every stage that work says to those who asked, in order; nothing is shown."""
     every = []
 
     class Recording(list):
         def append(self, stage):
-            every.extend([stage] if stage.what != "compiling" else [])
+            every.append(stage)
             super().append(stage)
 
     class Recorded(progress.Stages):

@@ -1,4 +1,4 @@
-"""How programs set JAX up: double precision, quick compilation, and the user's own flags untouched."""
+"""How scripts set JAX up: double precision, programs kept for the next process, and the user's settings untouched."""
 
 import json
 import os
@@ -12,62 +12,67 @@ from refusals import refused
 from cddf_jax import application
 
 REPORT = """
-import json, os
-from cddf_jax.application import configure_jax
-configure_jax({arguments})
-import jax, jax.numpy as jnp
-number = jax.jit(lambda x: x + 1.0)(1.0)
-print(json.dumps({{
-    "dtype": str(number.dtype),
-    "cache": jax.config.jax_compilation_cache_dir,
-    "flags": os.environ.get("XLA_FLAGS"),
-}}))
+import json, jax
+from cddf_jax.application import configure_jax, keep_programs
+{set_up}
+hits = []
+jax.monitoring.register_event_listener(lambda name, **_: hits.append(name) if name.endswith("/cache_hits") else None)
+number = jax.jit(lambda x: x + 1.0)(1.0)  # a function of the user
+print(json.dumps([float(number), str(number.dtype), jax.config.jax_compilation_cache_dir, len(hits)]))
 """
+OURS = ("XLA_FLAGS", "JAX_ENABLE_X64", "JAX_COMPILATION_CACHE_DIR", "JAX_ENABLE_COMPILATION_CACHE")
 
 
-def configured(tmp_path, arguments="", **environment):
-    """What a fresh process finds after `configure_jax`."""
-    kept = {
-        name: value
-        for name, value in os.environ.items()
-        if name not in ("XLA_FLAGS", "JAX_ENABLE_X64", "CDDF_PROGRAMS")
-    }
-    done = subprocess.run(
-        [sys.executable, "-c", REPORT.format(arguments=arguments)],
-        env=kept | {"XDG_CACHE_HOME": str(tmp_path)} | environment,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    return json.loads(done.stdout)
+@pytest.fixture
+def fresh(tmp_path):
+    """What a fresh process finds, and what it says on standard error."""
+
+    def run(set_up="configure_jax()", **environment):
+        kept = {name: value for name, value in os.environ.items() if name not in OURS}
+        done = subprocess.run(
+            [sys.executable, "-c", REPORT.format(set_up=set_up)],
+            env=kept | {"XDG_CACHE_HOME": str(tmp_path)} | environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        return *json.loads(done.stdout), done.stderr
+
+    return run
 
 
-@pytest.fixture(scope="module")
-def fresh(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("cache")
-    return configured(folder), folder
+def test_the_next_process_finds_the_program_in_the_users_cache(fresh, tmp_path):
+    folder = str(tmp_path / "cddf_jax" / "programs")
+    assert [fresh(), fresh()] == [(2.0, "float64", folder, hits, "") for hits in (0, 1)]
 
 
-def test_double_precision(fresh):
-    assert fresh[0]["dtype"] == "float64"
+def test_scripts_keep_programs_where_they_like(fresh, tmp_path):
+    own = str(tmp_path / "own")
+    found = [fresh(f"keep_programs({own!r})") for _ in range(2)]
+    assert found == [(2.0, "float32", own, hits, "") for hits in (0, 1)]
 
 
-def test_the_compilation_cache_of_jax_is_left_alone(fresh):
-    assert fresh[0]["cache"] is None
-    assert not (fresh[1] / "cddf_jax").exists()  # JAX compiled a function of the user, which the library does not keep
+def test_settings_of_the_user_are_respected(fresh, tmp_path):
+    own = str(tmp_path / "own")
+    assert fresh(JAX_COMPILATION_CACHE_DIR=own)[2] == own
+    fresh(JAX_ENABLE_COMPILATION_CACHE="false")
+    assert not (tmp_path / "cddf_jax").exists()
 
 
-def test_quick_compilation(fresh):
-    assert "--xla_backend_optimization_level=0" in fresh[0]["flags"]
+def test_a_damaged_program_is_made_again_with_a_warning(fresh, tmp_path):
+    fresh()
+    for path in (tmp_path / "cddf_jax" / "programs").glob("*-cache"):
+        path.write_bytes(path.read_bytes()[:20])
+    number, *_, hits, said = fresh()
+    assert (number, hits) == (2.0, 0)
+    assert "UserWarning: Error reading persistent compilation cache entry" in said
 
 
-def test_flags_of_the_user_are_respected(tmp_path):
-    own = "--xla_force_host_platform_device_count=2"
-    assert configured(tmp_path, XLA_FLAGS=own)["flags"] == own
-
-
-def test_quick_compilation_can_be_declined(tmp_path):
-    assert configured(tmp_path, "quick_compilation=False")["flags"] is None
+def test_a_folder_that_cannot_be_written_keeps_nothing_with_a_warning(fresh, tmp_path):
+    (tmp_path / "cddf_jax").write_text("a file")
+    number, *_, said = fresh()
+    assert number == 2.0
+    assert "UserWarning: Error reading persistent compilation cache entry" in said
 
 
 @pytest.mark.parametrize("error", [AssertionError, RuntimeError])  # of JAX without a plug-in, and without a device

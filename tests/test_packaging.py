@@ -5,6 +5,7 @@ import sys
 import tarfile
 import venv
 import zipfile
+from email.parser import Parser
 from importlib import metadata
 from pathlib import Path
 
@@ -17,7 +18,7 @@ import cddf_jax
 
 pytestmark = pytest.mark.packaging
 SOLVE = """
-import json, sys
+import sys
 from pathlib import Path
 import cddf_jax, jax
 assert Path(cddf_jax.__file__).is_relative_to(sys.prefix), cddf_jax.__file__
@@ -25,6 +26,25 @@ jax.config.update("jax_enable_x64", True)
 robot = cddf_jax.conical(length=0.14, outer_radius=0.015, inner_radius=0.0, tendon_offset=0.01,
                          youngs_modulus=1.4e6, friction_coefficient=0.42)
 print(float(cddf_jax.solve(robot, 20.0).tip_tension[0]), float(cddf_jax.closed_form_tension(robot, 20.0, 0.14)))
+"""
+# solve, fit and design without what the command line needs
+CORE = """
+import importlib.util, sys
+import cddf_jax as cddf, jax
+from cddf_jax.application import configure_jax
+assert not [name for name in ("typer", "rich", "tomli_w") if importlib.util.find_spec(name)]
+configure_jax()
+robot = cddf.read_manipulator(f"{sys.argv[1]}/smooth_sil_940.toml")
+tables = cddf.read_tables([f"{sys.argv[1]}/{name}_simulated.csv" for name in ("pulley", "load_cells")])
+with cddf.show_progress():
+    fit = cddf.fit(robot, tables)
+    design = cddf.design(robot, cddf.Least("volume"), free=("outer_radius",), bounds={"outer_radius": (8e-3, 25e-3)},
+                         constraints=[cddf.Limit("clearance", least=0.75e-3)], cases=cddf.LoadCase(20.0))
+try:
+    cddf.write_manipulator(robot, "robot.toml")
+except cddf.InputError as error:
+    print(error)
+print(fit.manipulator.friction_coefficient, design.objective < design.objectives[0].start)
 """
 
 
@@ -84,31 +104,52 @@ def works(python, tmp_path):
     assert '"tip_tension"' in told
 
 
-def needed_by(name):
-    """The distributions that one needs, itself among them: those that its metadata declare, without its extras."""
-    found, left = {}, [Requirement(name)]
+def told(declared, extra):
+    """The requirements among some declared ones that hold here, for an extra or "" for none."""
+    return [r for r in map(Requirement, declared) if r.marker is None or r.marker.evaluate({"extra": extra})]
+
+
+def needed_by(wheel, extra):
+    """The distributions that a wheel needs: those that its metadata declare, for an extra or "" for none."""
+    with zipfile.ZipFile(wheel) as opened:
+        (name,) = (name for name in opened.namelist() if name.endswith(".dist-info/METADATA"))
+        declared = Parser().parsestr(opened.read(name).decode()).get_all("Requires-Dist")
+    found, left = {}, told(declared, extra)
     while left:
         wanted = left.pop()
         distribution = found[wanted.name] = metadata.distribution(wanted.name)
-        for extra in wanted.extras or {""}:
-            declared = map(Requirement, distribution.requires or ())
-            told = (r for r in declared if r.marker is None or r.marker.evaluate({"extra": extra}))
-            left += [r for r in told if r.name not in found]
+        for own in wanted.extras or {""}:
+            left += [r for r in told(distribution.requires or (), own) if r.name not in found]
     return list(found.values())
 
 
-def test_the_wheel_works_with_what_it_declares_alone(built, tmp_path):
-    """In an environment of links to the distributions that its metadata name, and to nothing else."""
-    home = tmp_path / "declared"
+def declared_alone(wheel, extra, home):
+    """The Python of an environment of links to the distributions that a wheel declares, and to nothing else."""
     venv.create(home, symlinks=True)
     python, (site,) = home / "bin" / "python", home.glob("lib/*/site-packages")
-    for distribution in needed_by("cddf_jax")[1:]:
+    for distribution in needed_by(wheel, extra):
         for part in {file.parts[0] for file in distribution.files or () if ".." not in file.parts}:
             place = Path(str(distribution.locate_file(part)))
             if place.exists() and not (site / part).exists():
                 (site / part).symlink_to(place)
-    run(sys.executable, "-m", "pip", "--python", python, "install", "--quiet", "--no-deps", "--no-compile", built[0])
-    works(python, tmp_path)
+    run(sys.executable, "-m", "pip", "--python", python, "install", "--quiet", "--no-deps", "--no-compile", wheel)
+    return python
+
+
+def test_the_wheel_works_with_what_it_declares_alone(built, tmp_path):
+    works(declared_alone(built[0], "cli", tmp_path / "declared"), tmp_path)
+
+
+def test_the_library_works_without_what_the_command_line_needs(built, tmp_path):
+    python = declared_alone(built[0], "", tmp_path / "core")
+    missing = "this needs {}; install it with: pip install 'cddf-jax[cli]'\n"
+    written, answer = run(python, "-c", CORE, ROOT / "data", cwd=tmp_path).splitlines(keepends=True)
+    friction, smaller = answer.split()
+    assert written == missing.format("tomli_w")
+    assert float(friction) == pytest.approx(0.42, abs=0.005)  # what was simulated, data/README.md
+    assert smaller == "True"
+    done = subprocess.run([python.with_name("cddf"), "--help"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (1, "", "error: " + missing.format("typer"))
 
 
 def test_the_wheel_works_in_a_clean_environment(built, tmp_path):
@@ -127,7 +168,7 @@ def test_the_wheel_works_in_a_clean_environment(built, tmp_path):
         "--disable-pip-version-check",
         "-c",
         constraints,
-        built[0],
+        f"cddf-jax[cli] @ {built[0].as_uri()}",
     )
     works(python, tmp_path)
     assert "No broken requirements" in run(python, "-m", "pip", "check")

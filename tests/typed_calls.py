@@ -4,7 +4,6 @@
 """
 
 import dataclasses
-import os
 import sys
 from pathlib import Path
 
@@ -15,13 +14,13 @@ from places import DATA
 
 jax.config.update("jax_enable_x64", True)
 CHECKER = "beartype.beartype(conf=beartype.BeartypeConf(strategy=beartype.BeartypeStrategy.On))"
-os.environ["CDDF_PROGRAMS"] = "off"  # the description of a kept program has places where the annotations say arrays
 with install_import_hook("cddf_jax", CHECKER):
     import cddf_jax as cddf
 
     assert all(getattr(cddf, name) for name in cddf.__all__)  # loaded now, under the hook
 
 OUT = Path(sys.argv[1])
+cddf.keep_programs(OUT / "programs")
 TAPER = {"length": 0.14, "outer_radius": (0.020, 0.013), "inner_radius": 0.007, "tendon_offset": 0.010}
 MATERIAL = {"youngs_modulus": 1.4e6, "friction_coefficient": 0.42, "density": 1070.0}
 robot = cddf.conical(**TAPER, **MATERIAL)

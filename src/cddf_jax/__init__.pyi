@@ -1,5 +1,6 @@
 """The public names of cddf_jax: each one once, where it is defined."""
 
+from .application import keep_programs as keep_programs
 from .designing.design import DesignOptions as DesignOptions, design as design
 from .designing.limits import Limit as Limit
 from .designing.load_cases import LoadCase as LoadCase, uncertain_cases as uncertain_cases

@@ -3,83 +3,60 @@
 import gc
 import os
 from collections.abc import Mapping
-from functools import cache
-from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
-from .errors import InputError
-
-# XLA repeats these passes, with others, until none of them changes anything, which is a large part of compiling.
-LEFT_OUT = ",".join(
-    [
-        "while-loop-invariant-code-motion",
-        "while-loop-constant-sinking",
-        "simplify-while-loops",
-        "reshape-mover",
-        "constant_folding",
-    ]
-)
-# For small programs most of the time goes into compiling. With these flags it is several times faster, and the code is
-# slower, which does not matter for fits and single solves.
-QUICK_COMPILATION = (
-    f"--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false --xla_disable_hlo_passes={LEFT_OUT}"
-)
-TESTED_JAXLIB = "0.10."
+from .errors import InputError, needed
 
 
-def configure_jax(*, quick_compilation: bool = True) -> None:
-    """Set double precision, and make small programs start quickly. Call it before JAX computes anything.
+def configure_jax(*, all_cores: bool = False, processes: Mapping[str, Any] | None = None) -> None:
+    """Set double precision, and keep compiled programs for the next process. Call it before JAX computes anything.
 
     Args:
-        quick_compilation: compile faster, to slower code; not for large batches. Without effect if XLA_FLAGS is set
-            already.
-
-    Raises:
-        InputError: if JAX_PLATFORMS names a platform that JAX cannot use.
-    """
-    _configure(quick_compilation=quick_compilation)
-    _check_platform()
-
-
-def _configure(*, quick_compilation: bool) -> None:
-    if quick_compilation and is_tested_jaxlib():
-        os.environ.setdefault("XLA_FLAGS", QUICK_COMPILATION)
-    import jax
-
-    jax.config.update("jax_enable_x64", True)
-    jax.config.update("jax_cpu_enable_async_dispatch", False)  # else every small program wakes another thread
-    jax.config.update("jax_traceback_in_locations_limit", 0)  # compiled code does not need its source lines
-    gc.set_threshold(200_000, 50, 50)  # tracing makes many small objects that stay; collecting takes long
-
-
-@cache
-def is_tested_jaxlib() -> bool:
-    """Whether the options of XLA that the library knows are those of this jaxlib; XLA refuses unknown ones."""
-    return version("jaxlib").startswith(TESTED_JAXLIB)
-
-
-def configure_jax_for_batches(processes: Mapping[str, Any] | None = None) -> None:
-    """As `configure_jax`, for large batches: fully optimised code, and every core is a device.
-
-    The user's settings for the devices, JAX_NUM_CPU_DEVICES or XLA_FLAGS, are kept.
-
-    Args:
+        all_cores: make every core a device, for large batches. The user's settings for the devices, JAX_NUM_CPU_DEVICES
+            or XLA_FLAGS, are kept.
         processes: arguments of `jax.distributed.initialize` if several processes share the work; if it is empty, JAX
             asks Slurm or MPI.
 
     Raises:
-        InputError: as `configure_jax`.
+        InputError: if JAX_PLATFORMS names a platform that JAX cannot use, or a package is missing.
     """
-    _configure(quick_compilation=False)
     import jax
 
-    jax.config.update("jax_cpu_enable_async_dispatch", True)  # one chunk is written while the next is computed
+    jax.config.update("jax_enable_x64", True)
+    jax.config.update("jax_traceback_in_locations_limit", 0)  # compiled code does not need its source lines
+    gc.set_threshold(200_000, 50, 50)  # tracing makes many small objects that stay; collecting takes long
+    keep_programs()
     given = "xla_force_host_platform_device_count" in os.environ.get("XLA_FLAGS", "")
-    if jax.config.jax_num_cpu_devices < 0 and not given:  # type: ignore[attr-defined]  # JAX types no options
+    if all_cores and jax.config.jax_num_cpu_devices < 0 and not given:  # type: ignore[attr-defined]  # JAX types none
         jax.config.update("jax_num_cpu_devices", _cores())
     if processes is not None:
         jax.distributed.initialize(**processes)
     _check_platform()
+
+
+def keep_programs(folder: str | os.PathLike[str] | None = None) -> Path:
+    """Keep what JAX compiles, your own functions too, so that the next process does not compile it again.
+
+    Call it before JAX computes anything. It sets JAX's persistent compilation cache; `configure_jax` calls it as well.
+
+    Args:
+        folder: where. Programs are machine code: choose a folder in which nobody else can write. None for the folder
+            that JAX has already, as from JAX_COMPILATION_CACHE_DIR, or else that of cddf_jax in your cache.
+
+    Returns:
+        The folder.
+
+    Raises:
+        InputError: without a folder, if the package platformdirs is missing.
+    """
+    import jax
+
+    place = folder or jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
+    place = Path(place or needed("platformdirs", "cli").user_cache_path("cddf_jax") / "programs")
+    jax.config.update("jax_compilation_cache_dir", str(place))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    return place
 
 
 def _check_platform() -> None:

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from datetime import timedelta
+from importlib.util import find_spec
 from typing import Any, TypeVar
 
 PATIENCE = 2.0  # s, during which nothing is shown
@@ -134,10 +135,12 @@ def each(what: str, items: Sequence[Item]) -> Iterator[Item]:
 def show_progress() -> Iterator[None]:
     """Show the progress of long work on standard error: `with cddf.show_progress(): fit = cddf.fit(robot, table)`.
 
-    Nothing is shown in the first 2 s. Then a terminal shows a bar until the work is done. Elsewhere each stage that
-    takes long has a line, with the time so far. Work of other threads is not shown.
+    Nothing is shown in the first 2 s. Then a terminal shows a bar until the work is done, if the package rich is there
+    (`pip install "cddf-jax[cli]"`). Elsewhere each stage that takes long has a line, with the time so far.
+    Work of other threads is not shown.
     """
-    shown = Stages(Bar() if sys.stderr.isatty() else Log(lambda line: print(line, end="", file=sys.stderr, flush=True)))
+    bar = sys.stderr.isatty() and find_spec("rich")
+    shown = Stages(Bar() if bar else Log(lambda line: print(line, end="", file=sys.stderr, flush=True)))
     ended = threading.Event()
 
     def watch() -> None:

@@ -25,7 +25,6 @@ from refusals import refused
 from sweep_child import axes
 
 import cddf_jax as cddf
-from cddf_jax.application import QUICK_COMPILATION
 from cddf_jax.batch import store as store_module, work as work_module
 from cddf_jax.batch.chunks import Layout, Variable, even_chunks
 from cddf_jax.sweeping.axes import dimensions_of
@@ -57,8 +56,8 @@ def same(found, expected, rtol=SAME):
         assert found[name].attrs == expected[name].attrs
 
 
-def start(compiler=QUICK_COMPILATION, **asked):
-    environment = {**os.environ, "XLA_FLAGS": compiler}
+def start(compiler=None, **asked):
+    environment = dict(os.environ) if compiler is None else {**os.environ, "XLA_FLAGS": compiler}
     command = [sys.executable, str(CHILD), json.dumps({"solves": SOLVES, **asked})]
     return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 

@@ -1,31 +1,42 @@
 """`cddf cache`: what is kept is shown and emptied."""
 
 import json
+import os
+import subprocess
+import sys
 
 import pytest
+from places import DATA
 
-from cddf_jax.programs import folder
-
-
-@pytest.fixture(autouse=True)
-def place(tmp_path, monkeypatch):
-    monkeypatch.setenv(folder.VARIABLE, str(tmp_path / "programs"))
-    return tmp_path / "programs"
+from cddf_jax import application
 
 
-def test_it_is_shown_and_emptied(cddf_command, place):
-    folder.write("key", folder.Entry({}, b"content"))
-    size = (place / "key.program").stat().st_size
+def test_it_is_shown_and_emptied(cddf_command, tmp_path, monkeypatch):
+    monkeypatch.setattr(application, "keep_programs", lambda: tmp_path)
+    for name in ("jit_f-1-cache", "jit_g-2-cache", "of_somebody_else"):
+        (tmp_path / name).write_bytes(bytes(60_000))
     code, out, err = cddf_command("cache", "--json")
-    most = folder.LARGEST
-    shown = {"folder": str(place), "programs": 1, "bytes": size, "most_bytes": most, "removed": 0}
+    shown = {"folder": str(tmp_path), "programs": 2, "bytes": 120_000, "removed": False}
     assert (code, json.loads(out), err) == (0, shown, "")
-    code, out, _ = cddf_command("cache", "--empty")
-    assert (code, out) == (0, f"1 removed; {place}: 0 programs, 0.0 MB of at most {most / 1e6:.0f} MB\n")
-    assert not list(place.iterdir())
+    assert cddf_command("cache", "--empty")[:2] == (0, f"{tmp_path}: 2 programs, 0.1 MB removed\n")
+    assert [path.name for path in tmp_path.iterdir()] == ["of_somebody_else"]
 
 
-def test_an_empty_folder_and_none(cddf_command, place, monkeypatch):
-    assert cddf_command("cache")[1].startswith(f"{place}: 0 programs, 0.0 MB")
-    monkeypatch.setenv(folder.VARIABLE, "off")
-    assert cddf_command("cache")[1] == "nothing is kept: CDDF_PROGRAMS is off\n"
+@pytest.mark.parametrize("arguments", [(), ("--empty",)])
+def test_a_folder_that_is_not_there_is_empty(cddf_command, tmp_path, monkeypatch, arguments):
+    monkeypatch.setattr(application, "keep_programs", lambda: tmp_path / "none")
+    assert cddf_command("cache", *arguments)[1].startswith(f"{tmp_path / 'none'}: 0 programs, 0.0 MB")
+
+
+@pytest.mark.slow
+def test_a_second_run_finds_its_programs_and_gives_the_same_answer(tmp_path):
+    environment = os.environ | {"JAX_COMPILATION_CACHE_DIR": str(tmp_path), "JAX_ENABLE_COMPILATION_CACHE": "true"}
+
+    def cddf(*arguments):
+        command = [sys.executable, "-c", "from cddf_jax.cli.app import main; main()", *map(str, arguments), "--json"]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        return json.loads(done.stdout)
+
+    solved = [(cddf("solve", DATA / "smooth_sil_940.toml", "-t", "20 N"), cddf("cache")) for _ in range(2)]
+    assert solved[0] == solved[1]  # and no program was added
+    assert solved[0][1]["programs"] > 0

@@ -86,7 +86,7 @@ def test_a_profile_of_an_unknown_kind():
 
 def test_default_bounds():
     """A tenth of the start, and ten times it; scaled from 0 at the lower bound in units of the start."""
-    from cddf_jax.robot.named_numbers import Case
+    from cddf_jax.statics.named_numbers import Case
 
     space = free_numbers_of(Case(paper_body("exact"), 50.0, None, 1), ("youngs_modulus", "outer_radius"), {})
     assert space.names == (("youngs_modulus",), ("outer_radius.base",), ("outer_radius.tip",))

@@ -298,7 +298,7 @@ def test_gravity_on_a_body_without_mass_is_refused():
 
 
 def test_numbers_have_names_and_units():
-    from cddf_jax.robot.named_numbers import Case, unit_of_name
+    from cddf_jax.statics.named_numbers import Case, unit_of_name
 
     case = Case(robot(), 1.0, loads(), 1.0)
     named = {"point_masses.0.mass": 0.020, "point_masses.1.arc_length": L, "bending_stiffness.base": 0.02}

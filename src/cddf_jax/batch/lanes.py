@@ -9,8 +9,6 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Int
 
-from ..programs.kept import kept_program
-
 CPU_BATCH = 256  # lanes at once on a core: they stay in its cache, and a slow one holds up few
 ACCELERATOR_BATCH = 65536
 CALL = 32  # batches of each device in one call, at most
@@ -45,7 +43,6 @@ def in_lanes(function: Callable[[Inputs], Outputs], inputs: Inputs, count: int, 
     return jax.tree.map(lambda *parts: np.concatenate([np.asarray(part) for part in parts])[:count], *pieces)
 
 
-@kept_program
 @eqx.filter_jit
 def _run(
     function: Callable[[Inputs], Outputs], mesh: Mesh, batch: int, inputs: Inputs, lanes: Int[Array, "lanes"]

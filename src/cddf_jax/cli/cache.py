@@ -16,18 +16,17 @@ def cache(
 ) -> None:
     """The compiled programs that are kept on this machine, so that the next run starts sooner.
 
-    The folder is limited in size; the programs that were used least recently are removed first. CDDF_PROGRAMS=off in
-    the environment keeps none; CDDF_PROGRAMS=FOLDER keeps them elsewhere.
+    JAX_COMPILATION_CACHE_DIR=FOLDER in the environment keeps them elsewhere; JAX_ENABLE_COMPILATION_CACHE=false keeps
+    none.
     """
-    from ..programs import folder
+    from ..application import keep_programs
 
-    place = folder.folder()
-    if place is None:
-        print_answer("nothing is kept: CDDF_PROGRAMS is off", {"folder": None}, as_json=as_json)
-        return
-    removed = folder.empty() if empty else 0
-    found = folder.entries()
-    count, size = len(found), folder.size_of(found)
-    text = f"{place}: {count} programs, {size / MB:.1f} MB of at most {folder.LARGEST / MB:.0f} MB"
-    answer = {"folder": str(place), "programs": count, "bytes": size, "most_bytes": folder.LARGEST, "removed": removed}
-    print_answer(f"{removed} removed; {text}" if empty else text, answer, as_json=as_json)
+    folder = keep_programs()
+    kept = [path for path in folder.glob("*-cache") if path.is_file()]  # the names that JAX gives
+    size = sum(path.stat().st_size for path in kept)
+    if empty:
+        for path in kept:
+            path.unlink(missing_ok=True)
+    text = f"{folder}: {len(kept)} programs, {size / MB:.1f} MB" + (" removed" if empty else "")
+    answer = {"folder": str(folder), "programs": len(kept), "bytes": size, "removed": empty}
+    print_answer(text, answer, as_json=as_json)

@@ -85,10 +85,7 @@ def fit(
     out: options.Out = None,
 ) -> None:
     """Friction and modulus from measurements, and what the measurements do not determine."""
-    from .. import application
-
-    # code that is compiled quickly makes refits slow
-    read = options.read_robot(robot, kinematics, lambda: application.configure_jax(quick_compilation=not bootstrap))
+    read = options.read_robot(robot, kinematics)
     with stage("loading"):
         from ..estimation.whole_search import INTERRUPTED
         from ..identification.fit import fit

@@ -232,7 +232,7 @@ def _configure(
         os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
         sys.stdout = os.fdopen(ours, "w", encoding=sys.stdout.encoding, errors=sys.stdout.errors)
     try:
-        application.configure_jax_for_batches(processes)
+        application.configure_jax(all_cores=True, processes=processes)
     except (ValueError, RuntimeError) as error:
         if processes is None:
             raise

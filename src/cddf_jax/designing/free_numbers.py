@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from ..errors import InputError
 from ..numerics.given_numbers import check_numbers
 from ..robot.manipulator import Manipulator
-from ..robot.named_numbers import Case, stem_and_tendon, tip_of_winding, unit_of_name
+from ..statics.named_numbers import Case, stem_and_tendon, tip_of_winding, unit_of_name
 from .load_cases import LoadCase
 
 VALUE = re.compile(r"(pieces\.\d+\.?)*(base|tip|values\.\d+|\d+)?")  # a part of a profile

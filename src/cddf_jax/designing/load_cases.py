@@ -16,9 +16,9 @@ from ..estimation.determination import IDENTIFIED, PRIOR_ONLY
 from ..mechanics.directions import as_directions
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
-from ..robot.named_numbers import Case
 from ..robot.profiles import Scalar, as_number
 from ..statics.equilibrium import Equilibrium
+from ..statics.named_numbers import Case
 from ..statics.solve import solve
 from ..statics.targets import Target, TipPosition
 

@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
 
-from ..programs.kept import kept_program
 from ..robot.manipulator import Manipulator
 from ..robot.profiles import Scalar
 from ..statics.status import Status
@@ -187,7 +186,6 @@ def pieces_of(flat: np.ndarray, like: Sequence[Array | np.ndarray]) -> list[np.n
     return [piece.reshape(np.shape(array)) for piece, array in zip(pieces, like, strict=False)]
 
 
-@kept_program
 @eqx.filter_jit
 def _values_and_slopes(problem: DesignProblem, x: Array) -> tuple[ProgramValues, ProgramValues, DesignEvaluation]:
     def twice(x: Array) -> tuple[ProgramValues, tuple[ProgramValues, DesignEvaluation]]:

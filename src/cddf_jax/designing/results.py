@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Array
 
 from ..robot.manipulator import Manipulator
-from ..robot.named_numbers import unit_of_name
 from ..statics.equilibrium import Equilibrium
+from ..statics.named_numbers import unit_of_name
 from ..statics.status import Status, words_of
 from ..units import DIMENSION_OF, Dimension, shown
 from .body_quantities import loop_in_short_steps

@@ -10,8 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..programs.kept import kept_program
-from ..robot.named_numbers import Case, tip_of_winding
+from ..statics.named_numbers import Case, tip_of_winding
 from .constrained import LocalMinimum
 from .free_numbers import PLACE
 from .load_cases import case_numbers
@@ -83,7 +82,6 @@ def with_fixed(problem: DesignProblem, numbers: Mapping[FixedNumber, Array]) -> 
     return replace(problem, manipulator=body, cases=tuple(cases), limits=tuple(limits))
 
 
-@kept_program
 @eqx.filter_jit
 def _slopes(problem: DesignProblem, x: Array, fixed: tuple[FixedNumber, ...], numbers: Array) -> ProgramValues:
     """The derivatives of all values by fixed numbers, on the last axis."""

@@ -16,8 +16,8 @@ from ..files.cross_sections import in_one_line
 from ..files.manipulator_file import check_keys, read_robot_file, read_toml
 from ..robot.loads import gravity_in_words
 from ..robot.manipulator import Manipulator
-from ..robot.named_numbers import unit_of_name
 from ..robot.profiles import Linear, Profile, Spline
+from ..statics.named_numbers import unit_of_name
 from ..units import DIMENSION_OF, Dimension, quantity
 from .body_quantities import BODY_QUANTITIES, quantity_named
 from .design import DesignOptions, design

@@ -13,7 +13,6 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, ArrayLike, Float, Int
 
-from ..programs.kept import kept_program
 from ..progress import SHOWN, stage
 from .parameter_space import TINY, Numbers
 from .residuals import Data, LeastSquaresProblem
@@ -212,7 +211,6 @@ class _TrustRegion(optx.AbstractSearch):
         return size, accept | rounding | short, paused, new
 
 
-@kept_program
 @eqx.filter_jit
 def _at(
     problem: LeastSquaresProblem, z: Float[Numbers, " n"], held: Float[Numbers, " n"]
@@ -237,7 +235,6 @@ def _residual_and_slope(
     return jax.vmap(push, out_axes=(None, 1))(jnp.eye(z.shape[0]))
 
 
-@kept_program
 @eqx.filter_jit
 def _descend(
     problem: LeastSquaresProblem,
@@ -281,7 +278,6 @@ def _descend(
     return *found, search.num_steps, solved, reach, solved | ~paused
 
 
-@kept_program
 @eqx.filter_jit
 def _descend_all(problem: LeastSquaresProblem, data: Data, z: Float[Numbers, "searches n"]) -> tuple[ArrayLike, ...]:
     free = jnp.full(z.shape[1], jnp.nan)

@@ -8,9 +8,9 @@ from jaxtyping import Array, Int
 
 from ..figures.geometry import lines_along
 from ..mechanics.fields import AnyFields, SpatialFields
-from ..robot.named_numbers import Case
 from ..statics.equilibrium import Equilibrium, ended_as
 from ..statics.equilibrium_text import result_in_words, wall_remarks
+from ..statics.named_numbers import Case
 from ..statics.status import Status
 
 GOOD = (Status.successful, Status.direction_contradicted)

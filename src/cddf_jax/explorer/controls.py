@@ -8,10 +8,10 @@ import numpy as np
 
 from ..identification.parameters import starting_value, stiffness_parameter
 from ..measurements.table import Measurements
-from ..programs.evaluated import evaluated
+from ..numerics.arrays import evaluated
 from ..quantities import QUANTITIES, Quantity
 from ..robot.manipulator import Manipulator
-from ..robot.named_numbers import of_tendon
+from ..statics.named_numbers import of_tendon
 from ..units import round_number
 
 FITTED = ("friction_coefficient", "youngs_modulus", "stiffness_factor")  # a body has one of the last two

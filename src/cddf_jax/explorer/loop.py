@@ -16,7 +16,6 @@ from jaxtyping import Array, ArrayLike, Float
 
 from ..history.history import History
 from ..history.trace import trace
-from ..programs.kept import kept_program
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..statics.status import Status
@@ -198,7 +197,6 @@ def _joined(parts: Sequence[Rows]) -> Rows:
 # --- compiled once for each kind of body ----------------------------------------------------------
 
 
-@kept_program
 @eqx.filter_jit
 def _after_turns(
     body: Manipulator,
@@ -212,7 +210,6 @@ def _after_turns(
     return history.tip_tension[-count:], history.tip_angle[-count:], _state(history, arc_length)
 
 
-@kept_program
 @eqx.filter_jit
 def _rest(body: Manipulator, loads: Loads) -> History:
     """The body under loads before its tendons are pulled."""
@@ -220,7 +217,6 @@ def _rest(body: Manipulator, loads: Loads) -> History:
     return trace(body, nothing, loads, short_steps=SHORT_STEPS, throw=False)
 
 
-@kept_program
 @eqx.filter_jit
 def _step(
     body: Manipulator,

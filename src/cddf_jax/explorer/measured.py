@@ -11,7 +11,6 @@ from ..identification.bench import Bench, Pulley, experiment_of
 from ..identification.course import course_of, has_history
 from ..identification.parameters import BenchSetting
 from ..measurements.table import Measurements
-from ..programs.kept import kept_program
 from ..robot.manipulator import Manipulator
 from .answers import where_good
 
@@ -44,7 +43,6 @@ def _is_exact(table: Measurements, body: Manipulator, setting: BenchSetting) -> 
     return body.num_tendons == 1 and not loaded and setting.loads is None
 
 
-@kept_program
 @eqx.filter_jit
 def _in_rows(rows: Bench, body: Manipulator) -> dict[str, Array]:
     shown = rows.shown(body, {}, NODES)

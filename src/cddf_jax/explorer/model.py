@@ -18,14 +18,13 @@ from ..identification.parameters import BenchSetting
 from ..measurements.table import Measurements
 from ..mechanics.directions import as_directions
 from ..mechanics.fields import AnyFields
-from ..programs.kept import kept_program
 from ..robot.cross_section import Kinematics
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
-from ..robot.named_numbers import Case, of_tendon
 from ..robot.reshape import tapered
 from ..robot.validation import check_weight
 from ..statics.equilibrium import Equilibrium
+from ..statics.named_numbers import Case, of_tendon
 from ..statics.solve import solve
 from ..statics.targets import TipAngle
 from .answers import Curve, Picture, Taper, where_good
@@ -205,7 +204,6 @@ class Exploration:
 # --- compiled once for each structure of a case ---------------------------------------------------
 
 
-@kept_program
 @eqx.filter_jit
 def _solved(case: Case, arc_length: Float[ArrayLike, " points"]) -> tuple[Equilibrium, AnyFields, Array]:
     equilibrium = _solve(case)
@@ -220,7 +218,6 @@ def _solve(case: Case) -> Equilibrium:
     return solve(case.manipulator, case.base_tension, case.loads, direction=case.direction, throw=False)
 
 
-@kept_program
 @eqx.filter_jit
 def _over_tension(case: Case, tendon: Int[ArrayLike, ""], pulls: Float[ArrayLike, " pulls"]) -> tuple[Array, Array]:
     def at(pull):
@@ -231,7 +228,6 @@ def _over_tension(case: Case, tendon: Int[ArrayLike, ""], pulls: Float[ArrayLike
     return jax.vmap(at)(pulls)
 
 
-@kept_program
 @eqx.filter_jit
 def _taper(case: Case, angle: Float[ArrayLike, ""]) -> tuple:
     given = _solve(case)

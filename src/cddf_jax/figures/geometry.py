@@ -8,7 +8,7 @@ from jaxtyping import ArrayLike
 
 from ..errors import InputError
 from ..mechanics.fields import AnyFields, Fields, SpatialFields, in_the_plane
-from ..programs.evaluated import evaluated
+from ..numerics.arrays import evaluated
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..robot.validation import joints

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from ..errors import InputError
 from ..history.history import History
 from ..identification.predictions import ModelCurve
-from ..programs.evaluated import evaluated
+from ..numerics.arrays import evaluated
 from ..quantities import QUANTITIES
 from ..robot.manipulator import Manipulator
 from . import looks, style as draw

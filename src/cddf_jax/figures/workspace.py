@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 
 from ..errors import InputError
 from ..quantities import QUANTITIES
-from ..robot.named_numbers import stem_and_tendon
+from ..statics.named_numbers import stem_and_tendon
 from ..statics.status import Status
 from ..sweeping.one_solve import RESULT
 from . import looks, space, style as draw

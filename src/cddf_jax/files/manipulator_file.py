@@ -83,7 +83,7 @@ from typing import Any, NamedTuple
 
 from jaxtyping import ArrayLike
 
-from ..errors import InputError, within
+from ..errors import InputError, needed, within
 from ..quantities import QUANTITIES, dimension_of
 from ..robot.manipulator import Manipulator, PointMass, Tendon
 from ..robot.profiles import Constant, Profile, as_profile
@@ -185,7 +185,7 @@ def write_manipulator(
 
     Raises:
         InputError: for a manipulator that `validate` refuses, a profile of another kind, a gravity of another number of
-            components or one that is not finite, or a file that cannot be written.
+            components or one that is not finite, a file that cannot be written, or without the package tomli-w.
         TypeError: for anything but a manipulator and a path, in this order.
     """
     if not isinstance(manipulator, Manipulator) or not isinstance(path, str | os.PathLike):
@@ -201,8 +201,7 @@ def manipulator_text(
     manipulator: Manipulator, *, offsets_outside_wall: bool = False, gravity: Sequence[float] | None = None
 ) -> str:
     """The text that `write_manipulator` writes."""
-    import tomli_w
-
+    tomli_w = needed("tomli_w", "cli")
     manipulator.validate(offsets_outside_wall=offsets_outside_wall)
     table = _table(manipulator)
     if offsets_outside_wall:

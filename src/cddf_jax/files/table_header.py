@@ -134,8 +134,10 @@ def with_units_below(headings: Sequence[Heading], row: int, cells: Sequence[str]
             others[i] = unit or None  # for a guess of what it is
         if dimension is None or not unit:
             continue
+        if is_number(unit.replace(",", ".")):
+            return None
         fits = unit_fits(unit, dimension)
-        if is_number(unit.replace(",", ".")) or not (fits or dimension == "time"):  # hh:mm:ss, or a clock time
+        if not (fits or dimension == "time"):  # hh:mm:ss, or a clock time
             return None
         units |= {i: unit} if fits else {}
     for i, unit in units.items():

@@ -20,7 +20,6 @@ from ..mechanics.fields import AnyFields, SpatialFields
 from ..mechanics.problem import State, elements_of
 from ..numerics.arrays import zero_as
 from ..numerics.rotations import as_matrix
-from ..programs.kept import kept_program
 from ..robot.manipulator import Manipulator
 from ..statics.arguments import one_precision
 from ..statics.equilibrium import Dense, nan_unless
@@ -87,7 +86,6 @@ class Before(NamedTuple):
     work_and_loss: Float[Array, "2"] | None = None  # since rest, J; None for those of that path
 
 
-@kept_program
 @partial(jax.jit, static_argnames=("nodes", "max_turns", "quantity"))
 def congruent_history(
     manipulator: Manipulator,
@@ -204,7 +202,6 @@ def follow(
     return front, tips(body, own, other, turns), jnp.where(from_rest, front, moving)
 
 
-@kept_program
 @eqx.filter_jit
 def _work_and_loss(states: CongruentStates) -> tuple[Float[Array, " steps"], Float[Array, " steps"]]:
     """Work and friction loss since rest, J."""
@@ -249,7 +246,6 @@ class _Body(NamedTuple):
     wrap_angle: Float[Array, " tendons"]
 
 
-@kept_program
 @eqx.filter_jit
 def _fields(states: CongruentStates, arc_length: Float[Array, " points"]) -> AnyFields:
     """The fields after each step, tendons last."""

@@ -16,7 +16,6 @@ from jaxtyping import Array, Bool, Float, Int
 from ..mechanics.fields import Fields
 from ..mechanics.problem import lay_out
 from ..numerics.arrays import varying_as, zero_as
-from ..programs.kept import kept_program
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..statics.arguments import harmless, is_physical
@@ -165,7 +164,6 @@ def _given(manipulator: Manipulator, cells: Cells, path: Path, kind: Following, 
 # --- the history of a path ------------------------------------------------------------------------
 
 
-@kept_program
 @partial(jax.jit, static_argnames="kind")
 def stepped_history(manipulator: Manipulator, path: Path, start: SteppedStates | None, kind: Following) -> History:
     """The history of a path, with an error estimate from two passes with half the cells and with half the steps.

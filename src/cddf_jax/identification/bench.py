@@ -24,7 +24,6 @@ from ..measurements.markers import Marker, marker_column, marker_positions, mark
 from ..measurements.readings import NAMED, READINGS, columns_of, kind_of, of_tendons, tendon_number
 from ..measurements.table import Measurements
 from ..mechanics.capstan import pulling_tension
-from ..programs.kept import kept_program
 from ..progress import stage
 from ..quantities import TAKE_THE_PLANE
 from ..robot.loads import Loads
@@ -269,7 +268,6 @@ def _of_cells(parameters: Parameters, name: str, readings: Array) -> Array:
     return jnp.stack([jnp.asarray(parameters.get(f"{name}_{i}", common)) for i in tendons])
 
 
-@kept_program
 @eqx.filter_jit
 def _evaluate(
     bench: Bench, manipulator: Manipulator, parameters: dict[str, Array], along: np.ndarray | Array, nodes: int

@@ -13,7 +13,6 @@ from jaxtyping import Array, Float, Int
 
 from ..estimation.remarks import chance_of_more
 from ..measurements.table import Measurements
-from ..programs.kept import kept_program
 from ..robot.manipulator import Manipulator
 from .bench import Bench, Group
 from .course import Course
@@ -190,7 +189,6 @@ def _sums_of_squares(fit: "Fit", bench: Bench, groups: list[Group], orders: _Ord
     return total
 
 
-@kept_program
 @eqx.filter_jit
 def _read_in_orders(
     bench: Bench,

@@ -15,8 +15,8 @@ from jaxtyping import ArrayLike
 from ..errors import InputError, within
 from ..estimation.determination import AT_BOUND, NOT_IDENTIFIED
 from ..mechanics.capstan import pulling_tension
+from ..numerics.arrays import evaluated
 from ..numerics.given_numbers import check_numbers
-from ..programs.evaluated import evaluated
 from .bench import AllRows, Bench, BenchModel, Group
 from .course import SHORT_STEPS, between, course_along
 from .parameters import TRIALS

@@ -1,4 +1,4 @@
-"""Operations on arrays and trees: reductions, values that vary over devices, text, cosine and sine.
+"""Operations on arrays and trees: reductions, values that vary over devices, text, cosine and sine, evaluation.
 
 The reductions are fast in a batch. `zero_as` and `varying_as` make values that vary over devices as loops under
 shard_map need them. The cosine and sine are polynomials, which XLA can vectorise.
@@ -7,7 +7,7 @@ shard_map need them. The cosine and sine are polynomials, which XLA can vectoris
 import math
 from collections.abc import Callable
 from functools import reduce
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -142,3 +142,17 @@ def _polynomial(x: Array, coefficients: tuple[float, ...]) -> Array:
     for coefficient in reversed(coefficients[:-1]):
         value = value * x + coefficient
     return value
+
+
+def evaluated(function: Callable[..., Any], *arguments: Any) -> Any:
+    """The result of a function, or of a callable pytree such as a profile, with NumPy arrays.
+
+    It is compiled as one program, because else JAX compiles a program for every operation. Numbers among the arguments
+    must be arrays, as every Python number makes another program.
+    """
+    return jax.tree.map(np.asarray, _called(function, *arguments))
+
+
+@eqx.filter_jit
+def _called(function: Callable[..., Any], *arguments: Any) -> Any:
+    return function(*arguments)

@@ -19,8 +19,8 @@ from ..identification.parameters import unit_of
 from ..measurements.columns import column_dimension
 from ..measurements.table import Measurements
 from ..mechanics.fields import AnyFields
+from ..numerics.arrays import evaluated
 from ..numerics.given_numbers import check_numbers
-from ..programs.evaluated import evaluated
 from ..quantities import QUANTITIES
 from ..statics.equilibrium import Equilibrium
 from ..statics.equilibrium_text import result_in_words

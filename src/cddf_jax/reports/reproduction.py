@@ -17,7 +17,6 @@ from ..figures.fit import by_level, draw_about_zero, draw_band, draw_levels
 from ..figures.geometry import planar_fields_along, stations
 from ..files.writing import as_json, markdown_table, picked, plain
 from ..measurements.table import Measurements
-from ..programs.kept import kept_program
 from ..progress import each, stage
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import Equilibrium
@@ -117,13 +116,11 @@ def computed(manipulator: Manipulator, load_cells: Measurements) -> PaperResults
     return PaperResults(manipulator, curve, history, trials, base, observed, predicted)
 
 
-@kept_program
 @eqx.filter_jit
 def _pull(manipulator: Manipulator, base_tension: Float[np.ndarray, " pulls"]) -> Equilibrium:
     return jax.vmap(lambda pull: solve(manipulator, pull, throw=False))(base_tension)
 
 
-@kept_program
 @eqx.filter_jit
 def _histories(manipulator: Manipulator, base_tension: Float[np.ndarray, " pulls"]) -> IterationHistory:
     options = {"max_updates": HISTORY_UPDATES, "nodes": 64}

@@ -11,7 +11,7 @@ from ..files.csv_table import table_csv
 from ..history.history import GOOD, STEPS, History, last_line, listed, steps_in_words
 from ..history.stepped import ACCURACY, SteppedStates
 from ..history.trace import trace
-from ..programs.evaluated import evaluated
+from ..numerics.arrays import evaluated
 from ..progress import stage
 from ..robot.loads import Loads, loads_as_dict
 from ..robot.manipulator import Manipulator

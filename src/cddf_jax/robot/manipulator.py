@@ -13,8 +13,21 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 
 from ..errors import InputError
 from ..numerics.arrays import cos_sin, words_or_shapes
+from ..quantities import dimension_of
+from ..units import shown
 from .cross_section import CrossSection, Kinematics, SpatialSection
-from .profiles import Constant, Linear, Number, Points, Profile, Scalar, as_number, as_profile, breakpoints
+from .profiles import (
+    Constant,
+    Linear,
+    Number,
+    Points,
+    Profile,
+    Scalar,
+    as_number,
+    as_profile,
+    breakpoints,
+    profile_in_words,
+)
 
 KINEMATICS = ("published", "exact")
 _TIMES = np.cross(np.eye(3)[None, :], np.eye(3)[:, None]).swapaxes(1, 2)  # [rho, component, u] of u x rho
@@ -197,9 +210,7 @@ class Manipulator(eqx.Module):
             raise ValueError("Manipulator: density needs outer_radius and inner_radius; give mass_per_length instead")
 
     def __str__(self) -> str:
-        from .manipulator_text import manipulator_in_words
-
-        return words_or_shapes(manipulator_in_words, self)
+        return words_or_shapes(_in_words, self)
 
     @property
     def num_tendons(self) -> int:
@@ -509,3 +520,69 @@ def _taper(name: str, value: Any, length: ArrayLike) -> Constant | Linear:
     if shape not in ((), (2,)):
         raise ValueError(f"conical: {name} must be a number or a pair (base, tip), got shape {shape}")
     return Linear(value[0], value[1], length) if shape else Constant(value)
+
+
+# --- what `print` shows --------------------------------------------------------------------------
+
+_TOLD_PROFILES = (
+    *("outer_radius", "inner_radius", "bending_stiffness", "torsional_stiffness", "axial_stiffness", "shear_stiffness"),
+    *("mass_per_length", "youngs_modulus"),
+)
+_STRAINS = ("twist", "about y", "about z")
+_TOLD_IF_ZERO = ("friction_coefficient", "poissons_ratio")
+_TOLD_MATERIAL = ("youngs_modulus", "stiffness_factor", "friction_coefficient", "density", "drag", "yield_strain")
+_TOLD_OF_TENDON = ("friction_coefficient", "end", "axial_stiffness", "free_length", "drag")
+
+
+def _in_words(manipulator: Manipulator) -> str:
+    """Dimensions, material and tendons of one body whose numbers are known.
+
+    Raises:
+        TypeError: for a batch or traced numbers.
+    """
+    if any(np.ndim(number) for number in (manipulator.length, manipulator.friction_coefficient)):
+        raise TypeError("a batch has no words")
+    length = float(manipulator.length)
+    varies, known, kind = callable(manipulator.youngs_modulus), _TOLD_MATERIAL, f"{manipulator.kinematics} kinematics"
+    if manipulator.in_space:
+        known = (*known[:2], "axial_factor", "shear_factor", "poissons_ratio", *known[2:])
+        kind = "in space, its axis stretches and shears" if manipulator.extensible else "in space"
+    return "\n".join(
+        [
+            f"Manipulator of {shown(length, 'length')}, {kind}",
+            *(
+                f"{name} {profile_in_words(as_profile(getattr(manipulator, name)), length, dimension_of(name))}"
+                for name in _TOLD_PROFILES
+                if getattr(manipulator, name) is not None and (name != "youngs_modulus" or varies)
+            ),
+            *(
+                f"rest_curvature {name} {profile_in_words(part, length, 'curvature')}"
+                for name, part in zip(_STRAINS, manipulator.rest_curvature or (), strict=False)
+            ),
+            ", ".join(_numbers(manipulator, known[1:] if varies else known)),
+            *(
+                f"point mass {i}: {shown(point.mass, 'mass')} at s = {shown(point.arc_length, 'length')}"
+                for i, point in enumerate(manipulator.point_masses, 1)
+            ),
+            *(f"tendon {i}: {_tendon(tendon, length)}" for i, tendon in enumerate(manipulator.tendons, 1)),
+        ]
+    )
+
+
+def _numbers(owner: Manipulator | Tendon, names: Sequence[str]) -> list[str]:
+    """Names and numbers that are given; zero counts as not given, except for `_TOLD_IF_ZERO`."""
+    values = {name: getattr(owner, name) for name in names}
+    return [
+        f"{name} {shown(value, dimension_of(name))}"
+        for name, value in values.items()
+        if value is not None and (value or name in _TOLD_IF_ZERO)
+    ]
+
+
+def _tendon(tendon: Tendon, length: float) -> str:
+    end = length if tendon.end is None else float(tendon.end)
+    offset = profile_in_words(tendon.offset, end)
+    place = (
+        f"side {tendon.side:+d}" if tendon.angle is None else f"angle {profile_in_words(tendon.angle, end, 'angle')}"
+    )
+    return ", ".join([f"offset {offset}", place, *_numbers(tendon, _TOLD_OF_TENDON)])

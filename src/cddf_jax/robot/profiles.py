@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from ..numerics.given_numbers import check_numbers
+from ..units import Dimension, shown
 
 Number = Array | np.ndarray
 Scalar = Float[Number, ""]
@@ -238,3 +239,16 @@ def breakpoints(profile: Profile) -> Float[Number, " n"]:
     """The arc lengths (m) at which a profile is not smooth; none unless it names some."""
     own = getattr(profile, "breakpoints", None)
     return np.zeros(0) if own is None else jnp.asarray(own)
+
+
+def profile_in_words(profile: Profile, length: float, kind: Dimension = "length") -> str:
+    """What `print` shows of a profile: its values at both ends, its form and its range."""
+    if isinstance(profile, Constant):
+        return shown(profile.value, kind)
+    s = np.linspace(0.0, length, 201)
+    values = np.asarray(profile(s))
+    ends = f"{shown(values[0], kind)} at the base, {shown(values[-1], kind)} at s = {shown(length, 'length')}"
+    if isinstance(profile, Linear):
+        return ends
+    form = f"{type(profile).__name__}, " if isinstance(profile, Piecewise | Polyline | Spline) else ""
+    return f"{ends} ({form}from {shown(values.min(), kind)} to {shown(values.max(), kind)})"

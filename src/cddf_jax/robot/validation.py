@@ -10,7 +10,7 @@ from jax.core import Tracer
 from jaxtyping import Array
 
 from ..errors import InputError
-from ..programs.evaluated import evaluated
+from ..numerics.arrays import evaluated
 from ..quantities import QUANTITIES
 from .loads import Loads
 from .manipulator import Manipulator, PointMass, Tendon

@@ -10,7 +10,6 @@ from jax.core import Tracer
 from jaxtyping import ArrayLike
 
 from ..mechanics.problem import State
-from ..programs.kept import kept_program
 from .equilibrium import Dense, Equilibrium
 
 STATIONS = 401
@@ -78,7 +77,6 @@ def _comes_round(equilibrium: Equilibrium) -> bool:
     return bool(np.min(tangent @ mean) <= np.cos(TURNS / 2) * np.linalg.norm(mean))
 
 
-@kept_program
 @eqx.filter_jit
 def _centre_line(dense: Dense, arc_length: ArrayLike) -> State:
     return jax.vmap(dense.state)(jnp.asarray(arc_length))

@@ -16,7 +16,6 @@ from ..numerics.arrays import words_or_shapes
 from ..numerics.elements import Elements
 from ..numerics.given_numbers import check_numbers
 from ..numerics.rotations import length_of
-from ..programs.kept import kept_program
 from ..robot.cross_section import SpatialSection, spatial
 from ..robot.manipulator import Manipulator
 from .status import Status
@@ -214,7 +213,7 @@ class Dense(eqx.Module):
         return bent + jnp.abs(strain[3]) if section.extensible else bent
 
 
-_peak_strain = kept_program(eqx.filter_jit(Dense.peak_strain))
+_peak_strain = eqx.filter_jit(Dense.peak_strain)
 
 
 def ended_as(equilibrium: Equilibrium, *statuses: Status) -> bool:

@@ -29,7 +29,6 @@ from ..mechanics.problem import (
 )
 from ..mechanics.tendon_displacement import tendon_displacement
 from ..numerics.elements import gauss_rule
-from ..programs.kept import kept_program
 from ..robot.cross_section import planar
 from ..robot.loads import Loads, loads_in_space
 from ..robot.manipulator import Manipulator
@@ -115,7 +114,6 @@ def tip_jacobian(
     return _tip_jacobian((manipulator, base_tension, loads), direction, method, nodes)
 
 
-@kept_program
 @eqx.filter_jit
 def _tip_jacobian(arguments: tuple, direction: PyTree, method: Method, nodes: int) -> TipJacobian:
     numbers, rest = eqx.partition(arguments, eqx.is_inexact_array)
@@ -189,7 +187,6 @@ def energy_balance(
     return _energy_balance(Setup(manipulator, direction, loads, method, nodes), tension, end.status, num_steps)
 
 
-@kept_program
 @eqx.filter_jit
 def _energy_balance(setup: Setup, base_tension: PerTendon, status: Int[Array, ""], num_steps: int) -> EnergyBalance:
     rule = gauss_rule(num_steps)

@@ -20,7 +20,6 @@ from ..mechanics.truncation_error import truncation_error
 from ..numerics import tolerances as tol
 from ..numerics.arrays import zero_as
 from ..numerics.fixed_point import without_derivative
-from ..programs.kept import kept_program
 from ..robot.cross_section import planar
 from ..robot.loads import Loads, loads_in_space
 from ..robot.manipulator import Manipulator, in_space
@@ -154,7 +153,6 @@ def _units_of(targets: Targets, length: float) -> str:
     return ""
 
 
-@kept_program
 @partial(jax.jit, static_argnames=("method", "nodes"))
 def _solve(
     manipulator: Manipulator,

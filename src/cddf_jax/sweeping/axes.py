@@ -9,8 +9,8 @@ from ..errors import InputError, within
 from ..mechanics.problem import Method
 from ..numerics.given_numbers import check_numbers
 from ..robot.manipulator import KINEMATICS
-from ..robot.named_numbers import holds, stem_and_tendon
 from ..statics.arguments import check_nodes
+from ..statics.named_numbers import holds, stem_and_tendon
 
 OPTIONS = ("nodes", "method", "kinematics")  # each value has its own program
 PATH = "path"  # the attribute of a dataset that names the dimension whose base tensions were traced in their order

@@ -13,9 +13,9 @@ from ..mechanics.problem import Method
 from ..numerics.given_numbers import check_numbers
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
-from ..robot.named_numbers import Case, holds, stem_and_tendon
 from ..robot.validation import check_weight
 from ..statics.arguments import check_nodes, refuse_batch
+from ..statics.named_numbers import Case, holds, stem_and_tendon
 from ..statics.targets import Target, TipPosition
 from .axes import ALONG_A_PATH, OPTIONS, RESERVED
 from .one_solve import IN_SPACE, OUTPUTS

@@ -10,7 +10,7 @@ import numpy as np
 from ..batch.chunks import Layout, even_chunks
 from ..batch.drafts import in_one_step
 from ..errors import needed
-from ..robot.named_numbers import of_tendon
+from ..statics.named_numbers import of_tendon
 from ..statics.status import Status
 from .one_solve import AXES, COMPONENTS, RESULT, VERDICTS
 

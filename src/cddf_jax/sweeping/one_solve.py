@@ -16,8 +16,8 @@ from ..history.trace import trace
 from ..mechanics.problem import Method
 from ..quantities import QUANTITIES
 from ..robot.loads import Loads
-from ..robot.named_numbers import Case
 from ..statics.equilibrium import Equilibrium
+from ..statics.named_numbers import Case
 from ..statics.solve import solve
 from ..statics.status import Status
 from .axes import Dimension

@@ -21,11 +21,10 @@ from ..errors import InputError, needed, within
 from ..mechanics.directions import as_directions, stated_directions
 from ..mechanics.march import FixedPoint
 from ..mechanics.problem import Method
-from ..programs.kept import shapes_of
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
-from ..robot.named_numbers import Case, holds, of_tendon
 from ..statics.equilibrium import Equilibrium
+from ..statics.named_numbers import Case, holds, of_tendon
 from ..statics.targets import Actuation
 from . import one_solve
 from .axes import PATH, Dimension, dimensions_of
@@ -256,7 +255,7 @@ class Sweep:
         wanted = [(slope_name(n, by) if by else n, n, by) for n in outputs for by in ("", *self.sensitivities)]
         wanted += [(SUCCESSFUL, SUCCESSFUL, ""), (RESULT, RESULT, "")]
         for index in np.ndindex(*(d.size if d.options else 1 for d in self.dimensions)):
-            shapes = shapes_of(self.solver(index), inputs)
+            shapes = jax.eval_shape(self.solver(index), inputs)
             if self.path:  # the steps are a dimension of the sweep
                 shapes = {name: jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for name, x in shapes.items()}
             for name, base, by in wanted:

@@ -22,9 +22,9 @@ import numpy as np
 
 from ..errors import InputError
 from ..quantities import QUANTITIES
-from .loads import Loads
-from .manipulator import Manipulator
-from .reshape import stretched
+from ..robot.loads import Loads
+from ..robot.manipulator import Manipulator
+from ..robot.reshape import stretched
 
 WHOLE = ("base_tension", "direction")  # may be one number for all tendons
 _OF_ONE_TENDON = re.compile(r"(base_tension|direction)_([1-9]\d*)")

@@ -1,1 +1,0 @@
-"""Compiled programs that are kept in the user's cache folder, so that the next process neither traces nor compiles."""
