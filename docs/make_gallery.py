@@ -70,12 +70,6 @@ PICTURES = (
         "figures.draw_shape(three, in_space)",
     ),
     Picture(
-        "view",
-        "Plane view",
-        "The same body from the side; so it is drawn from above and from the front.",
-        'figures.draw_view(three, in_space, "XZ")',
-    ),
-    Picture(
         "along_curvature",
         "Curvature in space",
         "Twist, and bending about both axes of the cross-section.",
@@ -134,12 +128,6 @@ PICTURES = (
         "Profile likelihood",
         "How fast the fit gets worse away from the best friction coefficient, with all else fitted again.",
         'figures.draw_profile(fit, fit.profile("friction_coefficient"))',
-    ),
-    Picture(
-        "correlation",
-        "Correlation",
-        "How the estimates of one fit hang together.",
-        "figures.draw_correlation(fit)",
     ),
     Picture(
         "lines",

@@ -2,10 +2,8 @@
 
 import gc
 import os
-from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import version
-from typing import Any
 
 from .errors import InputError
 
@@ -58,14 +56,13 @@ def is_tested_jaxlib() -> bool:
     return version("jaxlib").startswith(TESTED_JAXLIB)
 
 
-def configure_jax_for_batches(processes: Mapping[str, Any] | None = None) -> None:
+def configure_jax_for_batches(*, distributed: bool = False) -> None:
     """As `configure_jax`, for large batches: fully optimised code, and every core is a device.
 
     The user's settings for the devices, JAX_NUM_CPU_DEVICES or XLA_FLAGS, are kept.
 
     Args:
-        processes: arguments of `jax.distributed.initialize` if several processes share the work; if it is empty, JAX
-            asks Slurm or MPI.
+        distributed: several processes share the work; JAX asks Slurm or MPI which one this is.
 
     Raises:
         InputError: as `configure_jax`.
@@ -77,8 +74,8 @@ def configure_jax_for_batches(processes: Mapping[str, Any] | None = None) -> Non
     given = "xla_force_host_platform_device_count" in os.environ.get("XLA_FLAGS", "")
     if jax.config.jax_num_cpu_devices < 0 and not given:  # type: ignore[attr-defined]  # JAX types no options
         jax.config.update("jax_num_cpu_devices", _cores())
-    if processes is not None:
-        jax.distributed.initialize(**processes)
+    if distributed:
+        jax.distributed.initialize()
     _check_platform()
 
 

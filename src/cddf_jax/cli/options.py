@@ -15,6 +15,7 @@ from ..progress import stage
 if TYPE_CHECKING:
     from ..files.manipulator_file import RobotFile
     from ..measurements.table import Measurements
+    from ..reports.report import Report
     from ..robot.loads import Loads
 
 FAILED, BAD_INPUT, INTERRUPTED = 1, 2, 130  # exit codes
@@ -146,6 +147,15 @@ def print_answer(text: str, answer: object, *, as_json: bool) -> None:
 
         text = json.dumps(plain(answer), indent=2)
     typer.echo(in_utf8(text))
+
+
+def give(report: "Report", out: Path | None, *, as_json: bool, code: int = FAILED) -> None:
+    """Write a report to the folder of `--out`, print it, and end the command with an exit code if it failed."""
+    with printed(lambda: report.text, report.answer, as_json=as_json):
+        if out is not None:
+            report.write(out)
+    if report.failure:
+        stop(report.failure, code)
 
 
 @contextmanager

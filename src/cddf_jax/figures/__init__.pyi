@@ -2,15 +2,12 @@
 
 from .along import (
     draw_along as draw_along,
-    draw_section_column as draw_section_column,
     sections_figure as sections_figure,
 )
 from .body import (
     draw_force_arrows as draw_force_arrows,
     draw_shape as draw_shape,
-    draw_view as draw_view,
     equilibrium_figure as equilibrium_figure,
-    views_figure as views_figure,
 )
 from .designs import (
     design_figure as design_figure,
@@ -18,8 +15,6 @@ from .designs import (
     draw_trade_off as draw_trade_off,
 )
 from .estimates import (
-    bootstrap_figure as bootstrap_figure,
-    draw_correlation as draw_correlation,
     draw_plan as draw_plan,
     draw_profile as draw_profile,
     profiles_figure as profiles_figure,

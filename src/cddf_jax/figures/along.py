@@ -7,14 +7,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ..errors import InputError
 from ..files.cross_sections import SectionColumn
 from ..quantities import QUANTITIES
 from ..robot.manipulator import Manipulator
 from ..robot.profiles import Constant, breakpoints
 from ..statics.equilibrium import Equilibrium
 from . import looks, style as draw
-from .geometry import ALONG, BENDING, fields_along, lines_along, stations, with_joints
+from .geometry import BENDING, fields_along, lines_along, stations, with_joints
 
 MARKERS = ("", "o", "s", "^", "D", "v", "x")  # one for each round through the dash patterns
 HEIGHT, SECTION_HEIGHT = 2.2, 1.9  # of a panel, inches
@@ -47,8 +46,6 @@ def draw_along(
     Raises:
         InputError: for another quantity, or when the solve failed.
     """
-    if quantity not in ALONG:
-        raise InputError(f"draw_along: quantity must be one of {', '.join(ALONG)}, got {quantity!r}")
     s = stations(manipulator)
     along = fields_along(equilibrium, s)
     lines = lines_along(manipulator, along, quantity)
@@ -83,33 +80,22 @@ def _draw_lines(axes: Axes, s: np.ndarray, values: np.ndarray, names: Sequence[s
 # --- a table of cross-sections ------------------------------------------------------------------
 
 
-def draw_section_column(column: SectionColumn, axes: Axes | None = None) -> Axes:
-    """The points of a column, and the profile that was taken for it, over the arc length, mm.
-
-    Args:
-        column: of `section_columns`.
-        axes: where to draw; None for a new figure, one column wide.
-    """
-    points, values = 1e3 * column.arc_length, 1e3 * column.values
-    s = with_joints(np.linspace(0.0, column.arc_length[-1], 1001), breakpoints(column.profile))
-    with draw.axes_or_new(axes, SECTION_HEIGHT) as axes:
-        axes.plot(1e3 * s, 1e3 * np.asarray(column.profile(s)), color=looks.BLUE, label="as read")
-        size = 1.2 if len(points) > MANY_POINTS else 3.2
-        look = {"markersize": size, "markerfacecolor": "white", "markeredgewidth": 0.7}
-        axes.plot(points, values, "o", color=looks.VERMILION, label="points of the table", **look)
-        low, high = axes.dataLim.intervaly
-        constant = isinstance(column.profile, Constant)
-        margin = (0.1 * high or 0.1) if constant else 0.08 * (high - low)
-        axes.set_ylim(low - margin, high + margin)
-        axes.set(xlabel="Arc length $s$ (mm)", ylabel=f"{column.name.replace('_', ' ').capitalize()} (mm)")
-        draw.legend_above(axes)
-    return axes
-
-
 def sections_figure(columns: Sequence[SectionColumn]) -> Figure:
-    """A panel for each column of a table of cross-sections, with one legend.
+    """The points of each column of a table of cross-sections, and the profile that was taken for it.
 
     Args:
         columns: of `section_columns`.
     """
-    return draw.panels_figure(lambda panel, column: draw_section_column(column, panel), columns, SECTION_HEIGHT)
+    return draw.panels_figure(_draw_section_column, columns, SECTION_HEIGHT)
+
+
+def _draw_section_column(axes: Axes, column: SectionColumn) -> None:
+    points, values = 1e3 * column.arc_length, 1e3 * column.values
+    s = with_joints(np.linspace(0.0, column.arc_length[-1], 1001), breakpoints(column.profile))
+    axes.plot(1e3 * s, 1e3 * np.asarray(column.profile(s)), color=looks.BLUE, label="as read")
+    look = {"markersize": 1.2 if len(points) > MANY_POINTS else 3.2, "markerfacecolor": "white"}
+    axes.plot(points, values, "o", color=looks.VERMILION, label="points of the table", **look)
+    low, high = axes.dataLim.intervaly
+    margin = max(0.08 * (high - low), 0.1 * high if isinstance(column.profile, Constant) else 0.0) or 0.1
+    axes.set_ylim(low - margin, high + margin)
+    axes.set(xlabel="Arc length $s$ (mm)", ylabel=f"{column.name.replace('_', ' ').capitalize()} (mm)")

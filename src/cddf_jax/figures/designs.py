@@ -70,7 +70,8 @@ def draw_design(design: Design, axes: Axes | None = None) -> Axes:
         InputError: for axes of the wrong kind.
     """
     if design.equilibria[0].in_space:
-        return _draw_spatial_design(design, axes)
+        after, old = _drawn(design)
+        return space.draw_spatial_shape(after, axes, old)
     before, after = design.start, design.manipulator
     s, line = geometry.stations(after), LINE * 1e3 * float(after.length)
     bent = geometry.bent_body(after, geometry.planar_fields_along(design.equilibria[0], s))
@@ -96,23 +97,15 @@ def draw_design(design: Design, axes: Axes | None = None) -> Axes:
     return axes
 
 
-def _draw_spatial_design(design: Design, axes: Axes | None) -> Axes:
-    after, old = _drawn(design)
-    with space.scene_or_new(axes, np.concatenate([after.points, old]), 2.2, 2.15) as scene:
-        _draw_both(scene, after, old)
-        if axes is None:
-            space.scale_of_scene(scene, space.tension_scale(after.tension), "$T$ (N)", given=False)
-    return scene
-
-
 def _spatial_figure(design: Design) -> Figure:
     """The designed body in three dimensions; beside it the routing of both bodies, and how they bend and twist."""
     after, old = _drawn(design)
     with draw.house_style():
         figure = draw.placed_figure(draw.DOUBLE_COLUMN, 3.5)
         scene, _ = space.new_scene(figure, np.concatenate([after.points, old]), 0.1, 0.45, 2.5, 2.6)
-        _draw_both(scene, after, old)
-        draw.colour_scale(figure, space.tension_scale(after.tension), "$T$ (N)", 3.15, 1.0, 1.6)
+        norm = draw.tension_scale(after.tension)
+        space.draw_scene(scene, after, norm, old)
+        draw.colour_scale(figure, norm, "$T$ (N)", 3.15, 1.0, 1.6)
         for quantity, left, bottom in (("angle", 4.15, 1.95), ("offset", 5.95, 1.95)):
             _draw_routing(design, quantity, draw.place_in(figure, left, bottom, 1.0, 1.2))
         for quantity, left, bottom in (("bending", 4.15, 0.45), ("twist", 5.95, 0.45)):
@@ -129,11 +122,6 @@ def _drawn(design: Design) -> tuple[Drawn, np.ndarray]:
     along = geometry.fields_along(design.equilibria[0], geometry.stations(design.manipulator))
     before = geometry.fields_along(design.equilibria_at_start[0], geometry.stations(design.start))
     return geometry.drawn(design.manipulator, along, design.cases[0].loads), 1e3 * np.asarray(before.position)
-
-
-def _draw_both(scene: space.Axes3D, after: Drawn, old: np.ndarray) -> None:
-    space.draw_scene(scene, after, space.tension_scale(after.tension))
-    scene.plot(*old.T, color=looks.GREY, linewidth=0.9, linestyle=(0, (4, 2)), zorder=8)
 
 
 def _draw_routing(design: Design, quantity: str, axes: Axes) -> None:

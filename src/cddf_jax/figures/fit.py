@@ -14,7 +14,6 @@ from scipy.special import betaincinv, ndtri
 from ..errors import InputError
 from ..identification import predictions as diagnostics
 from ..identification.bench import Bench, Group
-from ..identification.course import Course
 from ..identification.fit import Fit
 from ..identification.parameters import parameter_named
 from ..measurements.readings import kind_of
@@ -62,9 +61,12 @@ def draw_fit(fit: Fit, table: str | None = None, column: str | None = None, axes
     """
     panel = _panel_of("draw_fit", fit, table, column)
     with draw.axes_or_new(axes, PANEL_HEIGHT) as axes:
-        if panel.loops and panel.course is not None:
+        if panel.pulled is not None:
             draw_model_loops(axes, panel.loops)
-            _draw_branches(axes, panel.course, panel)
+            for branch, marker, words in BRANCHES:
+                own, look = panel.pulled == branch, {"color": looks.BLACK, "markerfacecolor": "white", "zorder": 3}
+                label = f"{panel.data_label}, {words}"
+                axes.plot(panel.x[own], panel.observed[own], marker, linestyle="none", label=label, **look)
         elif (curve := panel.curve) is None:
             ends = [np.min(panel.x), np.max(panel.x)]
             axes.plot(ends, ends, color=looks.BLUE, label="measured = predicted")
@@ -75,7 +77,7 @@ def draw_fit(fit: Fit, table: str | None = None, column: str | None = None, axes
             axes.plot(panel.x, panel.observed, "o", label=panel.data_label, **look)
         else:
             low, high = curve.value - curve.half_width, curve.value + curve.half_width
-            draw_band(axes, curve.grid, low, high, label="95 % band of the model")
+            draw.draw_band(axes, curve.grid, low, high, label="95 % band of the model")
             axes.plot(curve.grid, curve.value, color=looks.BLUE, label="model")
             draw_levels(axes, panel.x, panel.observed, label=panel.data_label)
         axes.set(xlabel=panel.x_label, ylabel=panel.y_label)
@@ -99,11 +101,10 @@ def draw_residuals(fit: Fit, table: str | None = None, column: str | None = None
     panel = _panel_of("draw_residuals", fit, table, column)
     with draw.axes_or_new(axes, RESIDUAL_HEIGHT) as axes:
         if (curve := panel.curve) is not None:
-            draw_band(axes, curve.grid, -curve.half_width, curve.half_width)
+            draw.draw_band(axes, curve.grid, -curve.half_width, curve.half_width)
         elif np.all(np.isfinite(panel.half_width)):
             axes.errorbar(panel.x, 0 * panel.x, yerr=panel.half_width, **INTERVAL)
-        pulled = panel.course.pulled[panel.there] if panel.loops and panel.course is not None else None
-        draw_about_zero(axes, panel.x, panel.residual, levels=curve is not None, pulled=pulled)
+        draw_about_zero(axes, panel.x, panel.residual, levels=curve is not None, pulled=panel.pulled)
         axes.set(xlabel=panel.x_label, ylabel=f"Residual ({panel.unit})")
     return axes
 
@@ -148,15 +149,14 @@ class _Panel(NamedTuple):
     x: np.ndarray
     observed: np.ndarray
     residual: np.ndarray  # observed - predicted
-    curve: diagnostics.ModelCurve | None  # None where no single one holds the rows
-    half_width: np.ndarray | float  # of the 95 % interval of the predictions, where there is no curve
     x_label: str
     y_label: str
     unit: str
     data_label: str
-    there: np.ndarray  # (rows,), in which rows of the table it was read
+    curve: diagnostics.ModelCurve | None = None  # None where no single one holds the rows
+    half_width: np.ndarray | float = np.nan  # of the 95 % interval of the predictions, where there is no curve
     loops: Sequence[diagnostics.ModelCurve] = ()  # the model along the path of each trial that comes back
-    course: Course | None = None
+    pulled: np.ndarray | None = None  # with loops, whether the tendon was pulled in each reading
 
 
 def _panel_of(who: str, fit: Fit, table: str | None, column: str | None) -> _Panel:
@@ -167,32 +167,33 @@ def _panel_of(who: str, fit: Fit, table: str | None, column: str | None) -> _Pan
     group = groups[column]
     if not diagnostics.has_numbers(fit, group):
         raise InputError(f"{who}: the model gave no numbers for {column} of {name}; see fit.result")
-    rows, curve = group.table, diagnostics.model_curve(fit, group)
-    there, observed, residual = group.there, group.observed, fit.residuals[group.label]
+    rows, there, curve = group.table, group.there, diagnostics.model_curve(fit, group)
+    observed, residual, kind = group.observed, fit.residuals[group.label], kind_of(column)
     label = ("simulated data" if rows.simulated else "data") + (", mean ± sd" if curve is not None else "")
     if column == "pulling_tension" and curve is not None:
         weight, curve = rows["weight"][there], curve._replace(grid=DEGREE * curve.grid)
         numbers = DEGREE * rows["wrap_angle"][there], observed / weight, residual / weight
-        words = "Wrap angle (deg)", "Pulling tension / weight (N/N)", "N/N"
-        return _Panel(*numbers, curve, np.nan, *words, label, there)
-    kind = kind_of(column)
+        return _Panel(*numbers, "Wrap angle (deg)", "Pulling tension / weight (N/N)", "N/N", label, curve)
     scale, unit = preferred(dimension_of(kind))
+
+    def scaled(model: diagnostics.ModelCurve) -> diagnostics.ModelCurve:
+        return model._replace(value=scale * model.value, half_width=scale * model.half_width)
+
     # " 2" of tendon 2, " at head" of a marker
     number = f" at {column.partition('@')[2]}" if "@" in column else column.removeprefix(kind).replace("_", " ")
     words, observed, residual = f"{QUANTITIES[kind].label}{number} ({unit})", scale * observed, scale * residual
-    base, axis = rows["base_tension"][there], "Base tension (N)"
+    over_base = _Panel(rows["base_tension"][there], observed, residual, "Base tension (N)", words, unit, label)
     if curve is not None:
-        curve = curve._replace(value=scale * curve.value, half_width=scale * curve.half_width)
-        return _Panel(base, observed, residual, curve, np.nan, axis, words, unit, label, there)
+        return over_base._replace(curve=scaled(curve))
     half = scale * diagnostics.half_width(fit, group)
     if loops := diagnostics.model_loops(fit, group):
         assert isinstance(group.experiment, Bench)
-        loops = [loop._replace(value=scale * loop.value, half_width=scale * loop.half_width) for loop in loops]
-        path = loops, group.experiment.course
-        return _Panel(base, observed, residual, None, half, axis, words, unit, label, there, *path)
+        assert group.experiment.course is not None
+        pulled = group.experiment.course.pulled[there]
+        return over_base._replace(loops=[scaled(loop) for loop in loops], half_width=half, pulled=pulled)
     words = words[0].lower() + words[1:]
-    labels = f"Predicted {words}", f"Measured {words}"
-    return _Panel(observed - residual, observed, residual, None, half, *labels, unit, label, there)
+    labels = {"x_label": f"Predicted {words}", "y_label": f"Measured {words}"}
+    return over_base._replace(x=observed - residual, half_width=half, **labels)
 
 
 def _groups(fit: Fit, table: str) -> dict[str, Group]:
@@ -222,13 +223,14 @@ def _draw_quantiles(axes: Axes, group: tuple[str, np.ndarray]) -> None:
     count, rank = residual.size, np.arange(1, residual.size + 1)
     quantile = ndtri((rank - 0.375) / (count + 0.25))
     lower, upper = (ndtri(betaincinv(rank, count + 1 - rank, level)) for level in (0.025, 0.975))
-    draw_band(axes, quantile, lower, upper, label="95 % of normal draws")
+    draw.draw_band(axes, quantile, lower, upper, label="95 % of normal draws")
     axes.plot(quantile, quantile, color=looks.BLUE, label="normal")
     axes.plot(quantile, np.sort(residual), "o", color=looks.BLACK, markerfacecolor="none", markersize=2.8, label="data")
     p_value = diagnostics.normality_of(residual).p_value
     text = f"{count} residuals" + (f"\nShapiro-Wilk p = {p_value:.2g}" if np.isfinite(p_value) else "")
     axes.text(0.04, 0.96, text, transform=axes.transAxes, va="top")
-    axes.set(xlabel="Normal quantile", ylabel="Residual / noise", title=fill(name, 44))
+    axes.set(xlabel="Normal quantile", ylabel="Residual / noise")
+    axes.set_title(fill(name, 44), parse_math=False)  # dollar signs of a file name are no formula
 
 
 # --- readings by level ---------------------------------------------------------------------------
@@ -240,32 +242,16 @@ class Levels(NamedTuple):
     x: np.ndarray
     mean: np.ndarray
     deviation: np.ndarray  # standard deviation over the readings of a level
-    lowest: np.ndarray
-    highest: np.ndarray
 
 
 def by_level(x: ArrayLike, y: ArrayLike) -> Levels:
     """Gather the readings y whose x agree within 2 % of the range of x, by which a set level may scatter."""
     x, y = np.asarray(x, float), np.asarray(y, float)
     order = np.argsort(x, kind="stable")
-    new_level = np.flatnonzero(np.diff(x[order]) > 0.02 * np.ptp(x)) + 1
-    return _gathered(np.split(order, new_level), x, y)
-
-
-def _gathered(groups: Sequence[np.ndarray], x: np.ndarray, y: np.ndarray) -> Levels:
-    """Readings by level, from the places of those of each level."""
-    return Levels(
-        x=np.array([x[group].mean() for group in groups]),
-        mean=np.array([y[group].mean() for group in groups]),
-        deviation=np.array([y[group].std(ddof=1) if len(group) > 1 else np.nan for group in groups]),
-        lowest=np.array([y[group].min() for group in groups]),
-        highest=np.array([y[group].max() for group in groups]),
-    )
-
-
-def draw_band(axes: Axes, x: np.ndarray, lower: np.ndarray, upper: np.ndarray, **style: looks.LookValue) -> None:
-    """The region between two lines."""
-    axes.fill_between(x, lower, upper, **({"color": looks.SKY, "alpha": 0.5, "linewidth": 0} | style))
+    groups = np.split(order, np.flatnonzero(np.diff(x[order]) > 0.02 * np.ptp(x)) + 1)
+    deviation = [y[group].std(ddof=1) if len(group) > 1 else np.nan for group in groups]
+    level, mean = (np.array([values[group].mean() for group in groups]) for values in (x, y))
+    return Levels(level, mean, np.array(deviation))
 
 
 def draw_levels(axes: Axes, x: ArrayLike, y: ArrayLike, **style: looks.LookValue) -> None:
@@ -273,19 +259,6 @@ def draw_levels(axes: Axes, x: ArrayLike, y: ArrayLike, **style: looks.LookValue
     levels = by_level(x, y)
     look = {"fmt": "o", "color": looks.BLACK, "markerfacecolor": "white", "elinewidth": 0.8, "zorder": 3}
     axes.errorbar(levels.x, levels.mean, yerr=levels.deviation, **(look | style))
-
-
-def _draw_branches(axes: Axes, course: Course, panel: _Panel) -> None:
-    """Mean and standard deviation of each hold over the base tension; markers show the branch."""
-    pulled, holds = course.pulled[panel.there], np.stack([course.trial, course.step], axis=1)[panel.there]
-    look: looks.Look = {"color": looks.BLACK, "markerfacecolor": "white", "elinewidth": 0.8, "zorder": 3}
-    for branch, marker, words in BRANCHES:
-        own = np.flatnonzero(pulled == branch)
-        if own.size:
-            _, hold, counts = np.unique(holds[own], axis=0, return_inverse=True, return_counts=True)
-            groups = np.split(own[np.argsort(hold, kind="stable")], np.cumsum(counts)[:-1])
-            levels, label = _gathered(groups, panel.x, panel.observed), f"{panel.data_label}, {words}"
-            axes.errorbar(levels.x, levels.mean, levels.deviation, fmt=marker, label=label, **look)
 
 
 def draw_about_zero(

@@ -59,15 +59,11 @@ class SpatialBody(NamedTuple):
         across = np.swapaxes(self.frame @ _circle(AROUND + 1).T, 1, 2)
         return self.midline[:, None] + self.outer_radius[:, None, None] * across
 
-    def is_behind(self, tendon: np.ndarray, sight: np.ndarray) -> np.ndarray:
-        """Where a line along the body, (points, 3), lies beyond the midline as seen from the direction `sight`."""
-        return (tendon - self.midline) @ sight < 0
-
     def is_hidden(self, tendon: np.ndarray, sight: np.ndarray) -> np.ndarray:
         """Where the body hides a line along it, (points, 3), seen from the direction `sight`."""
         arm = tendon - self.midline
         aside = np.linalg.norm(np.cross(arm, sight / np.linalg.norm(sight)), axis=-1)
-        return self.is_behind(tendon, sight) & (aside < self.outer_radius)
+        return (arm @ sight < 0) & (aside < self.outer_radius)  # behind the midline, and not beside the body
 
 
 class Drawn(NamedTuple):
@@ -166,10 +162,10 @@ def straight_body(manipulator: Manipulator, arc_length: np.ndarray, level: float
     return _body(manipulator, arc_length, midline, 0.0 * arc_length)
 
 
-def drawn(manipulator: Manipulator, along: AnyFields, loads: Loads | None, caller: str = "figures") -> Drawn:
-    """The body, tendons and loads to draw, from the fields along a body in space; the caller refuses the plane."""
+def drawn(manipulator: Manipulator, along: AnyFields, loads: Loads | None) -> Drawn:
+    """The body, tendons and loads to draw, from the fields along a body in space; the plane is refused."""
     if not isinstance(along, SpatialFields):
-        raise InputError(f"{caller}: the body is in the plane; draw_shape draws it")
+        raise InputError("figures: the body is in the plane; draw_shape draws it")
     s = np.asarray(along.arc_length)
     there, outer = reached(manipulator, s), 1e3 * _radii(manipulator, s)[0]
     return Drawn(
@@ -255,8 +251,10 @@ def lines_along(manipulator: Manipulator, along: AnyFields, quantity: str) -> np
 
     The curvature in space has three lines.
     """
+    if quantity not in ALONG:
+        raise InputError(f"figures: quantity must be one of {', '.join(ALONG)}, got {quantity!r}")
     if quantity == "strain" and manipulator.extensible:
-        raise InputError("draw_along: the strain along an axis that stretches is not known; see peak_strain")
+        raise InputError("figures: the strain along an axis that stretches is not known; see peak_strain")
     values = np.asarray(ALONG[quantity](manipulator, along))
     if quantity == "curvature" and values.ndim == 2:
         return values

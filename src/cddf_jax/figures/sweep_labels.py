@@ -1,6 +1,6 @@
 """Labels of sweeps: the dataset in the units of its labels, and words for axes, outputs and results."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,7 +22,7 @@ PARTS: dict[str, Callable[[Any], str]] = {
 }
 
 
-def in_label_units(answer: "xarray.Dataset", words: Mapping[str, str]) -> "xarray.Dataset":
+def in_label_units(answer: "xarray.Dataset") -> "xarray.Dataset":
     """A sweep in the units of its labels, NaN where there is no number; the results are a coordinate of each output."""
     there = answer[RESULT] >= 0
     for array in answer.data_vars.values():
@@ -36,7 +36,7 @@ def in_label_units(answer: "xarray.Dataset", words: Mapping[str, str]) -> "xarra
             scale, unit = QUANTITIES[name].shown
         # integers and booleans cannot be NaN: other outputs show where there is no number
         values = array if array.dtype.kind == "f" else array.where(there).transpose(*array.dims)
-        attrs = {"words": words.get(name) or name_in_words(name), "unit": unit, "yes_or_no": array.dtype.kind == "b"}
+        attrs = {"words": name_in_words(name), "unit": unit, "yes_or_no": array.dtype.kind == "b"}
         attrs["is_path"] = name == answer.attrs.get(PATH)
         return array.dims, np.asarray(scale * values), attrs
 
@@ -69,10 +69,13 @@ def axis_label(array: "xarray.DataArray") -> str:
 
 
 def name_in_words(name: str) -> str:
-    """The name of a number or output in words: "loads.tip_force.1" is "Tip force Y"."""
+    """The name of a number or output in words: "loads.tip_force.1" is "Tip force Y".
+
+    The value of a target is called so: "Base tension target".
+    """
     if name in QUANTITIES:
         return QUANTITIES[name].label
-    parts = name.removeprefix("loads.").replace("tendons.", "tendon.").split(".")
+    parts = name.removeprefix("loads.").replace("tendons.", "tendon.").replace(".value", ".target").split(".")
     places = COMPONENTS if parts[0] in ("tip_force", "tip_moment", "gravity") else range(1, 100)
     words = " ".join(str(places[int(part)]) if part.isdigit() else part for part in parts).replace("_", " ")
     return words[:1].upper() + words[1:]

@@ -1,7 +1,6 @@
 """A fit as people read it: report.md with its figures, and results.json beside it."""
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,16 +9,17 @@ import numpy as np
 from ..batch.drafts import check_folder
 from ..estimation.bootstrap import Bootstrap
 from ..estimation.determination import NOT_IDENTIFIED, Determination
-from ..files.writing import as_json, markdown_table, write_all
+from ..files.writing import as_json, markdown_table
 from ..identification.bench import Bench
 from ..identification.fit import Fit
 from ..identification.parameters import TRIALS, unit_of
 from ..identification.predictions import correlated_names, moving_names, own_names, tables_without_numbers
 from ..identification.verdict import error_in_words, parameter_shown, shown_unit
 from ..measurements.columns import column_dimension
-from ..progress import each, stage
+from ..progress import stage
 from ..units import preferred
-from .fit_results import Report, fit_as_dict, make_report
+from .fit_results import FitResults, fit_as_dict, make_report
+from .report import Files, Report, rendered
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,77 +37,75 @@ def write_fit(fit: Fit, folder: str | Path, *, bootstraps: Sequence[Bootstrap] =
         InputError: if the folder cannot be written, before the profiles are computed.
     """
     check_folder(Path(folder))
-    write_report(make_report(fit, bootstraps=bootstraps), folder)
+    fit_report(make_report(fit, bootstraps=bootstraps)).write(folder)
 
 
-def write_report(report: Report, folder: str | Path) -> None:
-    """Write all of it, or nothing."""
-    from ..figures.style import render
+def fit_report(results: FitResults) -> Report:
+    """The answer of `cddf fit`."""
+    answer, fit = fit_as_dict(results), results.fit
 
-    contents: dict[str, str | bytes] = {}
-    figures = report_figures(report)
-    for name in each("figure", list(figures)):
-        contents |= render(figures[name], name)
-    contents |= {"report.md": fit_as_markdown(report, tuple(figures)), "results.json": as_json(fit_as_dict(report))}
-    write_all(folder, contents)
+    def files() -> Files:
+        figures = report_figures(results)
+        texts = {"report.md": fit_as_markdown(results, tuple(figures)), "results.json": as_json(answer)}
+        return texts | rendered(figures)
+
+    return Report(fit_in_words(results), answer, files, "" if fit.success else f"the fit failed: {fit.result}")
 
 
 @stage("drawing")
-def report_figures(report: Report) -> "dict[str, Figure]":
+def report_figures(results: FitResults) -> "dict[str, Figure]":
     """The figures by file name; `left_out` says why others are missing."""
-    from ..figures.estimates import bootstrap_figure, draw_correlation, profiles_figure
+    from ..figures.estimates import profiles_figure
     from ..figures.fit import residuals_figure, table_figures
-    from ..figures.style import figure_of
 
-    fit, missing = report.fit, left_out(report)
-    makers: dict[str, Callable[[], Figure]] = {
-        "residuals": partial(residuals_figure, fit),
-        "profiles": partial(profiles_figure, fit, report.profiles),
-        "correlation": lambda: figure_of(draw_correlation(fit)),
-    }
-    makers |= {f"bootstrap_{found.kind}": partial(bootstrap_figure, fit, found) for found in report.bootstraps}
-    return table_figures(fit) | {name: make() for name, make in makers.items() if name not in missing}
+    fit, missing = results.fit, left_out(results)
+    figures = table_figures(fit)
+    if "residuals" not in missing:
+        figures["residuals"] = residuals_figure(fit)
+    if "profiles" not in missing:
+        figures["profiles"] = profiles_figure(fit, results.profiles)
+    return figures
 
 
-def left_out(report: Report) -> dict[str, str]:
-    """The reasons for missing figures and tables, by name."""
-    fit, failed = report.fit, f"the fit failed: {report.fit.result}"
+def left_out(results: FitResults) -> dict[str, str]:
+    """The reasons for missing figures, by name."""
+    fit = results.fit
     reasons = tables_without_numbers(fit)
     if not all(np.all(np.isfinite(residual)) for residual in fit.residuals.values()):
         reasons["residuals"] = "the model gave no numbers for some rows"
-    if not report.profiles:
-        reasons["profiles"] = "none were asked for" if fit.success else failed
-    if not fit.success:
-        reasons["correlation"] = failed
-    elif len(correlated_names(fit)) < 2:
-        reasons["correlation"] = "the data determine fewer than two parameters, and a correlation needs two"
-    for bootstrap in report.bootstraps:
-        if not moving_names(fit):
-            reasons[f"bootstrap_{bootstrap.kind}"] = "every parameter lies at a bound"
-        elif len(bootstrap.estimates) < 2:
-            reasons[f"bootstrap_{bootstrap.kind}"] = "fewer than two refits succeeded"
+    if not results.profiles:
+        reasons["profiles"] = "none were asked for" if fit.success else f"the fit failed: {fit.result}"
     return reasons
 
 
-# --- report.md -----------------------------------------------------------------------------------
+# --- words ---------------------------------------------------------------------------------------
 
 
-def fit_as_markdown(report: Report, figures: Sequence[str] | None = None) -> str:
+def fit_in_words(report: FitResults) -> str:
+    """The report for the terminal."""
+    fit = report.fit
+    lines = list(fit.verdict)
+    for title, entries in _also_said(report).items():
+        lines += ["", f"{title}:", *(f"  {entry}" for entry in entries)]
+    lines += [short_steps_in_words(fit)] if fit.moved_by_steps else []
+    lines += [f"simulated data: {simulated}"] if (simulated := _simulated_names(fit)) else []
+    lines.append(f"kinematics: {fit.manipulator.kinematics}")
+    return "\n".join(lines + [f"warning: {warning}" for warning in fit.warnings])
+
+
+def fit_as_markdown(report: FitResults, figures: Sequence[str] | None = None) -> str:
     """The report: first in words what was determined and what was not, then the numbers.
 
     `figures` are the names of the figures beside it; None if no figures are made.
     """
     fit = report.fit
-    several = len(fit.tables) > 1 or len(fit.noise) > 1
-    alone = [f"{name}: {determination_in_words(found)}" for name, found in fit.alone.items()] if several else []
     later = [warning for warning in fit.warnings if warning not in fit.remarks]  # remarks are in the first lines
     sections = [
         _in_short(report),
         _goodness(fit),
+        _correlation_section(fit),
         _profile_section(report),
-        _bootstrap_section(report),
-        _bullets("What each table alone determines", alone),
-        _way_back_section(fit),
+        *(_bullets(title[0].upper() + title[1:], entries) for title, entries in _also_said(report).items()),
         _trial_section(fit),
         _noise_section(report),
         _bullets("Without a model of the body", _model_free_in_words(report)),
@@ -115,9 +113,35 @@ def fit_as_markdown(report: Report, figures: Sequence[str] | None = None) -> str
         _bullets("What was stated about the bench", _stated(fit)),
         _figure_section(report, figures),
         _bullets("How the files were read", [line for table in fit.tables for line in table.read_as]),
-        _repeat_section(report),
     ]
-    return "\n\n".join("\n".join(section) for section in sections if section) + "\n"
+    foot = "results.json holds what is needed to repeat this fit: manipulator, options, checksums, versions.\n"
+    return "\n\n".join("\n".join(section) for section in sections if section) + f"\n\n{foot}"
+
+
+def _also_said(report: FitResults) -> dict[str, list[str]]:
+    """What the terminal and the report say beside the verdict, by title."""
+    fit, said = report.fit, {}
+    for bootstrap in report.bootstraps:
+        entries = []
+        for name in moving_names(fit):
+            (scale, unit), (low, high) = shown_unit(name), bootstrap.confidence_interval[name]
+            error, bias = scale * bootstrap.standard_error[name], scale * bootstrap.bias[name]
+            interval = f"95 %: {scale * low:.5g} to {scale * high:.5g}{unit}"
+            entries.append(f"{name} +- {error:.2g}{unit} ({interval}), bias {bias:.2g}{unit}")
+        entries += [f"too narrow: {bootstrap.remark}"] if bootstrap.remark else []
+        lost = f", {bootstrap.num_failed} more failed" if bootstrap.num_failed else ""
+        said[f"bootstrap, {bootstrap.kind}, {len(bootstrap.estimates)} refits{lost}, seed {bootstrap.seed}"] = entries
+    if len(fit.tables) > 1:
+        alone = fit.alone.items()
+        said["each table alone determines"] = [f"{name}: {determination_in_words(found)}" for name, found in alone]
+    if (pull := fit.pull_alone) is not None and fit.success:
+        entries = [f"{name}: {error_in_words(pull, name)}, {error_in_words(fit, name)}" for name in own_names(fit)]
+        for name in fit.combinations:
+            both = (found.combinations.get(name) for found in (pull, fit))
+            errors = (f"{100 * e.standard_error / e.value:.2g} %" if e else "-" for e in both)
+            entries.append(f"{name}: {', '.join(errors)}")
+        said["standard errors of the pull alone, and with the way back"] = entries
+    return said
 
 
 def _section(title: str, lines: Sequence[str]) -> list[str]:
@@ -129,7 +153,7 @@ def _bullets(title: str, lines: Sequence[str]) -> list[str]:
     return _section(title, [f"- {line}" for line in lines])
 
 
-def _in_short(report: Report) -> list[str]:
+def _in_short(report: FitResults) -> list[str]:
     fit, remarks = report.fit, report.fit.remarks
     lines = [f"- {line}" for line in (*fit.verdict, *(text for text in fit.warnings if text in remarks))]
     if simulated := _simulated_names(fit):
@@ -177,7 +201,14 @@ def short_steps_in_words(fit: Fit) -> str:
     return f"The short steps of the history move the estimates by at most {most:.2g} of their standard errors."
 
 
-def _profile_section(report: Report) -> list[str]:
+def _correlation_section(fit: Fit) -> list[str]:
+    names = correlated_names(fit)
+    places = [fit.names.index(name) for name in names]
+    rows = [[name, *(f"{fit.correlation[i, k]:.3f}" for k in places)] for name, i in zip(names, places, strict=True)]
+    return _section("Correlation", markdown_table(("parameter", *names), rows) if len(names) > 1 else [])
+
+
+def _profile_section(report: FitResults) -> list[str]:
     if not report.profiles:
         return []
     rows = []
@@ -198,58 +229,12 @@ def _end_in_words(end: float, unit: str, closed: bool, model_ends: bool) -> str:
     return f"{end:.5g}{unit}"
 
 
-def _bootstrap_section(report: Report) -> list[str]:
-    lines = []
-    head = ("parameter", "standard error", "95 % interval", "bias")
-    for bootstrap in report.bootstraps:
-        drawn = (
-            "new noise about the model"
-            if bootstrap.kind == "parametric"
-            else "trials, or else rows, drawn with replacement"
-        )
-        lost = f", {bootstrap.num_failed} of them failed" if bootstrap.num_failed else ""
-        count = len(bootstrap.estimates) + bootstrap.num_failed
-        lines += [f"{bootstrap.kind.capitalize()} ({drawn}): {count} refits{lost}, seed {bootstrap.seed}.", ""]
-        rows = []
-        for name in moving_names(report.fit):
-            error, low, high, bias, unit = _shown_bootstrap(bootstrap, name)
-            rows.append([name, f"{error:.2g}{unit}", f"{low:.5g} to {high:.5g}{unit}", f"{bias:.2g}{unit}"])
-        lines += [*markdown_table(head, rows), ""]
-        lines += [f"**Too narrow:** {bootstrap.remark}.", ""] if bootstrap.remark else []
-    return _section("Bootstrap", lines[:-1])
-
-
-def _shown_bootstrap(bootstrap: Bootstrap, name: str) -> tuple[float, float, float, float, str]:
-    """Standard error, interval and bias of a parameter in the unit that engineers use, and that unit."""
-    scale, unit = shown_unit(name)
-    low, high = bootstrap.confidence_interval[name]
-    return scale * bootstrap.standard_error[name], scale * low, scale * high, scale * bootstrap.bias[name], unit
-
-
 def determination_in_words(determination: Determination) -> str:
     """One line."""
     parts = [f"{name} {status}" for name, status in determination.status.items() if not name.startswith(TRIALS)]
     together = determination.identified_together.items()
     parts += [f"{name} = {e.value:.4g} +- {e.standard_error:.2g} {unit_of(name)}" for name, e in together]
     return "; ".join(parts)
-
-
-def way_back_rows(fit: Fit) -> list[list[str]]:
-    """For each parameter and combination the standard errors of the pull alone and of all rows; [] without a turn."""
-    pull = fit.pull_alone
-    if pull is None or not fit.success:
-        return []
-    rows = [[name, error_in_words(pull, name), error_in_words(fit, name)] for name in own_names(fit)]
-    for name in fit.combinations:
-        both = (found.combinations.get(name) for found in (pull, fit))
-        rows.append([name, *(f"{100 * e.standard_error / e.value:.2g} %" if e else "-" for e in both)])
-    return rows
-
-
-def _way_back_section(fit: Fit) -> list[str]:
-    text = "Standard errors of the rows before the first turn of each trial, and of all rows:"
-    table = markdown_table(("parameter", "pull alone", "with the way back"), way_back_rows(fit))
-    return _section("What the way back adds", [text, "", *table] if way_back_rows(fit) else [])
 
 
 def _trial_section(fit: Fit) -> list[str]:
@@ -262,7 +247,7 @@ def _trial_section(fit: Fit) -> list[str]:
     return _section("Trials", [text, "", *table] if rows else [])
 
 
-def _noise_section(report: Report) -> list[str]:
+def _noise_section(report: FitResults) -> list[str]:
     fit = report.fit
     head = ("data", "standard deviation", "made of", "normal: Shapiro-Wilk p")
     head += ("correlation from row to row of a hold", "count as independent")
@@ -288,7 +273,7 @@ def _or_dash(value: float, form: str) -> str:
     return format(value, form) if np.isfinite(value) else "-"
 
 
-def _model_free_in_words(report: Report) -> list[str]:
+def _model_free_in_words(report: FitResults) -> list[str]:
     lines = []
     for name, (friction, compared) in report.model_free.items():
         lines += [f"{name}: {line}" for line in friction.verdict]
@@ -301,7 +286,7 @@ def _model_free_in_words(report: Report) -> list[str]:
     return lines
 
 
-def _figure_section(report: Report, figures: Sequence[str] | None) -> list[str]:
+def _figure_section(report: FitResults, figures: Sequence[str] | None) -> list[str]:
     """The figures, and why others are missing."""
     if figures is None:
         return []
@@ -312,43 +297,11 @@ def _figure_section(report: Report, figures: Sequence[str] | None) -> list[str]:
 
 
 def _stated(fit: Fit) -> list[str]:
-    places = [f"marker {n} of {t.name}: {m}" for t in fit.tables for n, m in t.markers.items()]
-    return [*fit.setting.in_words, *places]
-
-
-def _repeat_section(report: Report) -> list[str]:
-    fit = report.fit
-    rows = [[table.name, str(len(table)), f"`{table.checksum[:16]}`"] for table in fit.tables]
-    starts, seed, nodes = (fit.options[name] for name in ("starts", "seed", "nodes"))
-    starts = "as needed" if starts is None else starts
-    text = f"Kinematics {fit.manipulator.kinematics}, loss {fit.loss}, starts {starts}, seed {seed}, nodes {nodes}."
-    text += f" With history: {', '.join(fit.without_jitter)}." if fit.without_jitter else ""
-    courses = [one.course for one in fit.model.experiments if isinstance(one, Bench) and one.course is not None]
-    past = [words for course in courses for words in course.past_in_words]
-    past = past if len(set(past)) > 1 else past[:1]  # "rest", or where trials differ "rest, 80 N"
-    text += f" Before the first row: {', '.join(past)}." if fit.without_jitter else ""
-    text += " Holds were averaged." if any(table.spread is not None for table in fit.tables) else ""
-    text += " results.json holds what is needed to repeat this fit: manipulator, options, checksums, versions."
-    return _section("To repeat it", [*markdown_table(("data", "rows", "SHA-256, first digits"), rows), "", text])
-
-
-def fit_in_words(report: Report) -> str:
-    """The report for the terminal."""
-    fit = report.fit
-    lines = list(fit.verdict)
-    for bootstrap in report.bootstraps:
-        lines += ["", f"bootstrap, {bootstrap.kind}, {len(bootstrap.estimates)} refits:"]
-        for name in moving_names(fit):
-            error, low, high, _, unit = _shown_bootstrap(bootstrap, name)
-            lines.append(f"  {name} +- {error:.2g}{unit} (95 %: {low:.4g} to {high:.4g}{unit})")
-        lines += [f"  too narrow: {bootstrap.remark}"] if bootstrap.remark else []
-    if len(fit.tables) > 1:
-        lines += ["", "each table alone determines:"]
-        lines += [f"  {name}: {determination_in_words(determination)}" for name, determination in fit.alone.items()]
-    if rows := way_back_rows(fit):
-        lines += ["", "standard errors of the pull alone, and with the way back:"]
-        lines += [f"  {name}: {pull}, {loop}" for name, pull, loop in rows]
-    lines += [short_steps_in_words(fit)] if fit.moved_by_steps else []
-    lines += [f"simulated data: {simulated}"] if (simulated := _simulated_names(fit)) else []
-    lines.append(f"kinematics: {fit.manipulator.kinematics}")
-    return "\n".join(lines + [f"warning: {warning}" for warning in fit.warnings])
+    lines = [f"Kinematics {fit.manipulator.kinematics}, loss {fit.loss}.", *fit.setting.in_words]
+    lines += [f"marker {n} of {t.name}: {m}" for t in fit.tables for n, m in t.markers.items()]
+    if fit.without_jitter:
+        courses = [one.course for one in fit.model.experiments if isinstance(one, Bench) and one.course is not None]
+        past = [words for course in courses for words in course.past_in_words]
+        past = past if len(set(past)) > 1 else past[:1]  # "rest", or where trials differ "rest, 80 N"
+        lines.append(f"With history: {', '.join(fit.without_jitter)}. Before the first row: {', '.join(past)}.")
+    return lines + (["Holds were averaged."] if any(table.spread is not None for table in fit.tables) else [])

@@ -1,9 +1,7 @@
 """The results that a report of a fit contains, and the dictionary from which the fit can be repeated."""
 
-import platform
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
-from importlib.metadata import version
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -22,11 +20,11 @@ from ..measurements.table import Measurements
 from ..progress import each
 from ..robot.manipulator import Manipulator
 from ..statics.solve import solve
+from .report import versions
 
 if TYPE_CHECKING:
     from ..identification.model_free import Disagreement, ModelFreeFriction, ModelFreeLoop
 
-PACKAGES = ("cddf-jax", "jax", "numpy", "scipy", "optimistix", "equinox")
 LEAST_ROWS = 3  # for friction without a model
 # of results.json
 OF_FIT = (
@@ -39,7 +37,6 @@ OF_DETERMINATION = (
     *("names", "value", "standard_error", "confidence_interval", "status", "combinations", "sums", "correlation"),
     *("rank", "condition_number", "sloppy_direction"),
 )
-OF_JITTER = ("noise", "least_turn", "num_ignored", "merged")
 OF_MODEL_FREE = ("value", "standard_error", "confidence_interval", "verdict")
 OF_LOOP = (
     *("gain", "gain_standard_error", "gain_interval", "loss", "loss_standard_error", "zero", "zero_p_value"),
@@ -65,7 +62,7 @@ class LoopCompared(NamedTuple):
     loss_of_fit: float  # 1/T_tip - 1/T_base of a pull, 1/N
 
 
-class Report(NamedTuple):
+class FitResults(NamedTuple):
     """A fit and the results that belong to it."""
 
     fit: Fit
@@ -76,12 +73,12 @@ class Report(NamedTuple):
     loops: dict[str, LoopCompared]  # by table with a history
 
 
-def make_report(fit: Fit, *, bootstraps: Sequence[Bootstrap] = (), with_profiles: bool = True) -> Report:
+def make_report(fit: Fit, *, bootstraps: Sequence[Bootstrap] = (), with_profiles: bool = True) -> FitResults:
     """Compute all that a report contains; profiles take some seconds."""
     profiles = (
         {name: fit.profile(name) for name in each("profile", own_names(fit))} if fit.success and with_profiles else {}
     )
-    return Report(fit, profiles, tuple(bootstraps), normality(fit), _model_free(fit), _loops(fit))
+    return FitResults(fit, profiles, tuple(bootstraps), normality(fit), _model_free(fit), _loops(fit))
 
 
 def _model_free(fit: Fit) -> dict[str, ModelFree]:
@@ -134,7 +131,7 @@ def _loops(fit: Fit) -> dict[str, LoopCompared]:
 # --- results.json --------------------------------------------------------------------------------
 
 
-def fit_as_dict(report: Report) -> dict[str, object]:
+def fit_as_dict(report: FitResults) -> dict[str, object]:
     """All results and all inputs of a fit, SI units, for JSON, where an infinite number becomes null."""
     fit = report.fit
     return {
@@ -142,13 +139,11 @@ def fit_as_dict(report: Report) -> dict[str, object]:
         **picked(fit, OF_FIT),
         "alone": {name: _determination_as_dict(determination) for name, determination in fit.alone.items()},
         "pull_alone": None if fit.pull_alone is None else _determination_as_dict(fit.pull_alone),
-        "without_jitter": {
-            name: {"unit": "N"} | picked(steady, OF_JITTER) for name, steady in fit.without_jitter.items()
-        },
+        "without_jitter": fit.without_jitter,
         "normality": report.normality,
         "cost_from_each_start": fit.starts,
-        "profiles": {name: _profile_as_dict(profile) for name, profile in report.profiles.items()},
-        "bootstraps": [_bootstrap_as_dict(bootstrap) for bootstrap in report.bootstraps],
+        "profiles": report.profiles,
+        "bootstraps": [picked(bootstrap, OF_BOOTSTRAP) for bootstrap in report.bootstraps],
         "model_free_friction": {
             name: {"unit": "1"} | picked(found.friction, OF_MODEL_FREE) | {"disagreement": found.disagreement}
             for name, found in report.model_free.items()
@@ -161,7 +156,7 @@ def fit_as_dict(report: Report) -> dict[str, object]:
         "manipulator": _as_toml(fit.model.manipulator),
         "kinematics": fit.manipulator.kinematics,
         "options": fit.options,
-        "versions": {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
+        "versions": versions(),
     }
 
 
@@ -174,19 +169,6 @@ def _table_as_dict(table: Measurements) -> dict[str, object]:
 def _determination_as_dict(found: Determination) -> dict[str, object]:
     units = {name: unit_of(name) for name in (*found.names, *found.identified_together)}
     return {"unit": units} | picked(found, OF_DETERMINATION)
-
-
-def _profile_as_dict(profile: Profile) -> dict[str, object]:
-    answer: dict[str, object] = {"unit": unit_of(profile.name)}
-    answer |= {field: value for field, value in profile._asdict().items() if field not in ("name", "names")}
-    columns = zip(profile.names, profile.others.T, strict=True)
-    return answer | {"others": {name: values for name, values in columns if name != profile.name}}
-
-
-def _bootstrap_as_dict(bootstrap: Bootstrap) -> dict[str, object]:
-    replicates = len(bootstrap.estimates) + bootstrap.num_failed
-    units = {name: unit_of(name) for name in bootstrap.names}
-    return picked(bootstrap, OF_BOOTSTRAP) | {"replicates": replicates, "unit": units}
 
 
 def _as_toml(manipulator: Manipulator) -> str | None:

@@ -1,4 +1,4 @@
-"""The answer of `cddf trace`, in words, as plain numbers and as files."""
+"""The answer of `cddf trace`."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -8,6 +8,7 @@ import numpy as np
 
 from ..errors import SolveError
 from ..files.csv_table import table_csv
+from ..files.writing import as_json
 from ..history.history import GOOD, STEPS, History, last_line, listed, steps_in_words
 from ..history.stepped import ACCURACY, SteppedStates
 from ..history.trace import trace
@@ -19,6 +20,7 @@ from ..statics.status import Status, words_of
 from ..statics.targets import Displacement, TipAngle
 from ..units import Dimension, shown
 from .export import POINTS, field_columns, history_columns, history_numbers
+from .report import Files, Report, rendered
 
 FINE = 256  # steps, at least, so that loops are smooth, and one program serves most paths
 FINE_IN_STEPS = 64  # the same in space, and with several tendons or loads
@@ -61,7 +63,6 @@ def traced(
     driven: Sequence[Dimension],
     loads: Loads | None,
     nodes: int,
-    max_turns: int,
     short_steps: int,
     before: Sequence[float] | None = None,
 ) -> TracedPath:
@@ -74,7 +75,7 @@ def traced(
             tendon alone tip angles, rad, after each step; not all 0.
         driven: what each of them is, "force", "length" or "angle".
         loads: that act before the first step, and stay constant.
-        nodes, max_turns: as `trace` takes them.
+        nodes: as `trace` takes them.
         short_steps: as `trace` takes them, for each point.
         before: the largest base tension of each tendon before the paths, N; None for rest.
     """
@@ -86,8 +87,8 @@ def traced(
     values, steps = _with_points_between(np.array(paths).T, start, fine)
     with stage("tracing"):
         if is_exact:
-            options = {"before": "rest" if before is None else before[0], "max_turns": max_turns}
-            history = trace(manipulator, TARGETS[driven[0]](values[:, 0]), nodes=nodes, throw=False, **options)
+            past = "rest" if before is None else before[0]
+            history = trace(manipulator, TARGETS[driven[0]](values[:, 0]), before=past, nodes=nodes, throw=False)
         else:
             columns = [Displacement(x) if kind == "length" else x for x, kind in zip(values.T, driven, strict=True)]
             given = columns if "length" in driven else values
@@ -117,6 +118,21 @@ def _check(history: History, steps: np.ndarray, values: np.ndarray, driven: Sequ
     if isinstance(history._states, SteppedStates) and codes[first] == Status.inaccurate:
         words = f"The error estimate exceeds {ACCURACY:g}: raise --short-steps and --nodes."
     raise SolveError(f"step {step + 1}, on the way to {to}, at {at}: {words}")
+
+
+def trace_report(found: TracedPath) -> Report:
+    """What slid in each step of a path, the states after the steps, and where the work went."""
+    answer = trace_as_dict(found)
+
+    def files() -> Files:
+        from ..figures.history import history_figure
+
+        moved = np.ptp(found.states["base_tension"].reshape(len(found.steps), -1), axis=0)  # by each tendon
+        figure = history_figure(found.manipulator, found.history, found.steps, tendon=int(np.argmax(moved)))
+        tables = {"loop.csv": loop_csv(found), "fields.csv": fields_csv_of_steps(found)}
+        return {"trace.json": as_json(answer)} | tables | rendered({"trace": figure})
+
+    return Report(trace_in_words(found), answer, files)
 
 
 def cycles(states: dict[str, np.ndarray]) -> list[Cycle]:
