@@ -30,8 +30,6 @@ in_space = cddf.solve(three, [60.0, 35.0, 5.0])
 table = cddf.read_measurements("data/tip_angle_simulated.csv")
 names = "friction_coefficient", "youngs_modulus", "tip_gain"
 fit = cddf.fit(robot, table, names, {"tip_gain": (1.0, 0.01)})
-candidates = cddf.standard_candidates(robot, 85.0)
-plan = cddf.plan(fit, [one for one in candidates if "weight" not in one.name])
 
 axes = {"base_tension": np.linspace(5.0, 145.0, 15), "friction_coefficient": np.linspace(0.1, 0.6, 6)}
 grid = cddf.sweep(robot, axes, outputs=("tip_tension", "tension_loss"))
@@ -158,12 +156,6 @@ PICTURES = (
         "A trade-off",
         "Every point is a design; none is better than another in both volume and strain.",
         "figures.draw_trade_off(front)",
-    ),
-    Picture(
-        "plan",
-        "What to measure next",
-        "Standard errors that are expected after each candidate; hollow is what it leaves open.",
-        "figures.draw_plan(plan)",
     ),
 )
 

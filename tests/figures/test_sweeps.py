@@ -10,8 +10,7 @@ from matplotlib.patches import Rectangle
 import cddf_jax as cddf
 from cddf_jax.errors import InputError
 from cddf_jax.figures.style import render
-from cddf_jax.figures.sweep_labels import name_in_words
-from cddf_jax.figures.sweeps import draw_lines, draw_map, sweep_figure
+from cddf_jax.figures.sweeps import draw_lines, draw_map, name_in_words, sweep_figure
 
 CROSSING, LOCKED = cddf.Status.crossing, cddf.Status.locked
 TENSIONS = np.linspace(10.0, 50.0, 5)

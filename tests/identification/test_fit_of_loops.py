@@ -25,8 +25,7 @@ from cddf_jax.identification.tension_before import Start, first_guesses, starts_
 from cddf_jax.identification.verdict import merged_in_words
 from cddf_jax.measurements.jitter import turns_of, without_jitter
 from cddf_jax.measurements.table import Measurements
-from cddf_jax.reports.fit_report import fit_as_markdown, fit_in_words
-from cddf_jax.reports.fit_results import fit_as_dict, make_report
+from cddf_jax.reports.fit_report import fit_as_dict, fit_as_markdown, fit_in_words, make_report
 
 UP = np.arange(5.0, 86.0, 5.0)
 LOOP = np.concatenate([UP, UP[-2::-1]])

@@ -17,7 +17,6 @@ from scipy import stats
 import cddf_jax as cddf
 from cddf_jax.estimation.observations import Noise
 from cddf_jax.figures import (
-    estimates as profile_figures,
     fit as fit_figures,
     style as plotting,
 )
@@ -25,7 +24,7 @@ from cddf_jax.files import writing
 from cddf_jax.identification.bench import Bench, experiment_of
 from cddf_jax.identification.predictions import normality, normality_of
 from cddf_jax.measurements.table import Measurements
-from cddf_jax.reports import fit_report as report, fit_results
+from cddf_jax.reports import fit_report as report
 
 RATIO = "friction_coefficient / youngs_modulus"
 BOTH = ("friction_coefficient", "youngs_modulus")
@@ -63,11 +62,11 @@ def with_prior(paper, pulley):
 
 
 def words_of(fit):
-    return report.fit_as_markdown(fit_results.make_report(fit, with_profiles=False))
+    return report.fit_as_markdown(report.make_report(fit, with_profiles=False))
 
 
 def results_of(fit):
-    return fit_results.fit_as_dict(fit_results.make_report(fit, with_profiles=False))
+    return report.fit_as_dict(report.make_report(fit, with_profiles=False))
 
 
 def row_of(markdown, name):
@@ -302,7 +301,7 @@ def test_a_failed_fit_still_has_a_report():
     assert not fit.success
     assert words_of(fit).splitlines()[2].startswith("- The fit failed: ")
     json.dumps(writing.plain(results_of(fit)), allow_nan=False)
-    made = fit_results.make_report(fit)
+    made = report.make_report(fit)
     assert report.report_figures(made) == {}
     said = report.fit_as_markdown(made, [])
     rows = "- No figure of bench: the model gave no numbers for tip_tension in 17 of 17 rows."
@@ -321,7 +320,7 @@ def drum(paper, pulley):
 
 @pytest.fixture(scope="module")
 def drum_report(drum):
-    return fit_results.make_report(drum, bootstraps=[drum.bootstrap("parametric", 40), drum.bootstrap("cases", 40)])
+    return report.make_report(drum, bootstraps=[drum.bootstrap("parametric", 40), drum.bootstrap("cases", 40)])
 
 
 def texts(axes):
@@ -366,7 +365,7 @@ def test_too_few_residuals_have_no_normality(paper):
 
 def test_the_profile_is_the_sum_of_squares(drum, drum_report, pulley):
     """One parameter and noise that is held: the profile is the sum of squares itself."""
-    (axes,) = profile_figures.profiles_figure(drum, drum_report.profiles).axes
+    (axes,) = fit_figures.profiles_figure(drum, drum_report.profiles).axes
     estimate = drum.value["friction_coefficient"]
     noise = np.hypot(0.1, 0.01 * pulled(pulley, estimate))
 
@@ -389,7 +388,7 @@ def test_the_profile_is_the_sum_of_squares(drum, drum_report, pulley):
 def test_an_open_profile_is_seen_to_be_open(tensions_only):
     """Tensions know mu / E only: mu alone costs nothing, two decades up and down."""
     profile = tensions_only.profile("friction_coefficient")
-    (axes,) = profile_figures.profiles_figure(tensions_only, {"friction_coefficient": profile}).axes
+    (axes,) = fit_figures.profiles_figure(tensions_only, {"friction_coefficient": profile}).axes
     assert texts(axes) == ["← open", "open →"]
     assert axes.get_xscale() == "log"
     mu, root = line_of(axes, "profile")
@@ -415,7 +414,7 @@ def test_the_bootstrap_in_the_report(drum_report):
         assert "ootstrap, parametric, 40 refits, seed 0" in text
         assert said in text
         assert text.count("too narrow: drawn from 3 case(s) only: ") == 1  # trials of the pulley
-    told = [bootstrap["coverage"] for bootstrap in fit_results.fit_as_dict(drum_report)["bootstraps"]]
+    told = [bootstrap["coverage"] for bootstrap in report.fit_as_dict(drum_report)["bootstraps"]]
     assert told == [bootstrap.coverage for bootstrap in drum_report.bootstraps]
 
 
@@ -482,7 +481,7 @@ def test_the_files_of_a_report(drum, drum_report, tmp_path):
 
 
 def test_a_fit_is_repeated_from_its_results(drum_report, drum, tmp_path):
-    results = json.loads(writing.as_json(fit_results.fit_as_dict(drum_report)))
+    results = json.loads(writing.as_json(report.fit_as_dict(drum_report)))
     assert set(results["versions"]) == {
         "python",
         "cddf-jax",

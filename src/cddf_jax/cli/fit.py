@@ -47,10 +47,7 @@ def fit(
     given: options.Given = None,
     history: options.HistoryOption = None,
     before: BeforeOption = None,
-    short_steps: Annotated[
-        int,
-        typer.Option(help="Short steps for each row of a history, with several tendons or loads.", min=2),
-    ] = 4,
+    short_steps: options.ShortSteps = 4,
     leave_out: options.LeaveOutOption = None,
     per_trial: Annotated[bool, typer.Option("--per-trial", help="Let friction differ from trial to trial.")] = False,
     average_holds: options.AverageHolds = False,
@@ -64,8 +61,7 @@ def fit(
     with stage("loading"):
         from ..estimation.whole_search import INTERRUPTED
         from ..identification.fit import fit
-        from ..reports.fit_report import fit_report
-        from ..reports.fit_results import make_report
+        from ..reports.fit_report import fit_report, make_report
         from .fit_options import read_before, read_leave_out, read_noise, read_priors, read_setting
 
     found = fit(

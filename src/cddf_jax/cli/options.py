@@ -103,6 +103,9 @@ Column = Annotated[
         help='What a column of the data is, with its unit, such as "Tbase_N=base_tension [N]". "NAME=" leaves it out.'
     ),
 ]
+ShortSteps = Annotated[
+    int, typer.Option(help="With several tendons or loads: short steps for each step of a history.", min=2)
+]
 AverageHolds = Annotated[
     bool,
     typer.Option("--average-holds", help="One reading for each hold: consecutive rows of a trial at one level."),

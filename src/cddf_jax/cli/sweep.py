@@ -88,10 +88,6 @@ HistoryAxis = Annotated[
         '"base_tension_1_and_base_tension_2".'
     ),
 ]
-ShortSteps = Annotated[
-    int,
-    typer.Option(help="Short steps for each step of a history, with several tendons or loads.", min=2),
-]
 BaseTension = Annotated[
     list[str] | None,
     typer.Option("--base-tension", "-t", help="As for cddf solve, unless --over base_tension is given."),
@@ -120,7 +116,7 @@ def sweep(
     seed: Annotated[int, typer.Option(help="Seed of the samples.", min=0)] = 0,
     history: History = False,
     history_axis: HistoryAxis = None,
-    short_steps: ShortSteps = 16,
+    short_steps: options.ShortSteps = 16,
     base_tension: BaseTension = None,
     direction: options.Direction = None,
     tip_force: options.TipForce = None,

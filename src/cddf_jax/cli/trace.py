@@ -41,13 +41,6 @@ BeforeOption = Annotated[
         show_default="rest",
     ),
 ]
-ShortSteps = Annotated[
-    int,
-    typer.Option(
-        help="With several tendons or loads: short steps between two points of a loop. A path has 64 points or more.",
-        min=2,
-    ),
-]
 
 
 def trace(
@@ -59,7 +52,7 @@ def trace(
     tip_force: options.TipForce = None,
     tip_moment: options.TipMoment = None,
     gravity: options.Gravity = None,
-    short_steps: ShortSteps = 4,
+    short_steps: options.ShortSteps = 4,
     kinematics: options.KinematicsOption = None,
     nodes: options.Nodes = 16,
     as_json: options.AsJson = False,

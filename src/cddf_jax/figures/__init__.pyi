@@ -14,14 +14,11 @@ from .designs import (
     draw_design as draw_design,
     draw_trade_off as draw_trade_off,
 )
-from .estimates import (
-    draw_plan as draw_plan,
-    draw_profile as draw_profile,
-    profiles_figure as profiles_figure,
-)
 from .fit import (
     draw_fit as draw_fit,
+    draw_profile as draw_profile,
     draw_residuals as draw_residuals,
+    profiles_figure as profiles_figure,
     residuals_figure as residuals_figure,
     table_figures as table_figures,
 )

@@ -39,7 +39,7 @@ def draw_along(
             "bending" (1/m), the size of the curvature without twist; "twist" (1/m), zero in the plane;
             "normal_force" or "friction_force", the size of the force of a tendon on the body per length (N/m);
             "strain", the greatest of a cross-section that bends (%); "heading" (deg), in space the angle between the
-            axes of cross-section and base.
+            axes of cross-section and base; "offset" (mm) or "angle" (deg) of the tendons.
         axes: where to draw; None for a new figure, one column wide.
         style: of the lines, as `Axes.plot` takes it: color, label, ...
 
@@ -73,7 +73,7 @@ def _draw_lines(axes: Axes, s: np.ndarray, values: np.ndarray, names: Sequence[s
             box = {"facecolor": "white", "edgecolor": "none", "pad": 0.4}
             at = (s[last], line[last])
             axes.annotate(name.split()[-1], at, (3, 0), textcoords="offset points", va="center", fontsize=7.5, bbox=box)
-    if count > 1:
+    if count > 1 and "label" not in style:
         draw.legend_above(axes, 3)
 
 

@@ -1,7 +1,7 @@
-"""The figures of a fit: data and model, residuals over what was set, and residuals against normal quantiles."""
+"""The figures of a fit: data and model, residuals over what was set and against normal quantiles, and profiles."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from textwrap import fill
 from typing import NamedTuple
 
@@ -9,9 +9,12 @@ import numpy as np
 from jaxtyping import ArrayLike
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from scipy.special import betaincinv, ndtri
 
 from ..errors import InputError
+from ..estimation.determination import AT_BOUND, NOT_IDENTIFIED
+from ..estimation.profile_likelihood import Profile
 from ..identification import predictions as diagnostics
 from ..identification.bench import Bench, Group
 from ..identification.fit import Fit
@@ -26,6 +29,7 @@ DEGREE = np.degrees(1.0)
 PANEL_HEIGHT, RESIDUAL_HEIGHT = 2.5, 1.7  # inches
 MOST_ACROSS = 3  # panels side by side
 BRANCHES = ((True, "o", "pulled"), (False, "v", "released"))
+MOST_SHOWN = 1.9**2  # times the rise at the ends of the interval: up to there a profile is drawn
 INTERVAL: looks.Look = {"fmt": "none", "ecolor": looks.SKY, "elinewidth": 2.5, "capsize": 0, "alpha": 0.5}
 
 
@@ -281,3 +285,61 @@ def draw_about_zero(
             axes.plot(x[pulled == branch], residual[pulled == branch], marker, **look)
     reach = 1.15 * np.max(np.abs(residual), initial=0.0) or 1.0
     axes.set_ylim(-reach, reach)
+
+
+# --- profiles of the likelihood --------------------------------------------------------------------
+
+
+def draw_profile(fit: Fit, profile: Profile, axes: Axes | None = None) -> Axes:
+    """The root of the rise of the sum of squares over a parameter; two straight lines for a linear model.
+
+    The 95 % interval is where the profile is below the dashed line. A side on which it never crosses that line is
+    marked as open. A positive parameter with an open side is drawn on a logarithmic axis, without an estimate.
+
+    Args:
+        fit: of `fit`.
+        profile: of `fit.profile`.
+        axes: where to draw; None for a new figure, one column wide.
+    """
+    name, estimate, status = profile.name, fit.value[profile.name], fit.status[profile.name]
+    scale, label = shown_scale(name)
+    with draw.axes_or_new(axes, PANEL_HEIGHT) as axes:
+        interval, limit = profile.confidence_interval, np.sqrt(profile.threshold)
+        valley = status != AT_BOUND and not all(profile.closed) and bool(np.all(profile.value > 0))
+        low, high = _reach(profile, estimate, valley)
+        axes.set(xscale="log" if valley else "linear", xlabel=label, ylabel="Root of the rise in squares")
+        axes.set(xlim=(scale * low, scale * high), ylim=(-0.1 * limit, 1.9 * limit))
+        if not valley:
+            axes.xaxis.set_major_locator(MaxNLocator(5))
+        ends = np.clip(interval, low, high)
+        axes.axvspan(scale * ends[0], scale * ends[1], color=looks.SKY, alpha=0.35, linewidth=0, label="95 % interval")
+        root = np.sqrt(np.maximum(profile.rise, 0.0))
+        axes.plot(scale * profile.value, root, "o-", color=looks.BLUE, markersize=2.2, label="profile")
+        axes.axhline(limit, color=looks.VERMILION, linestyle="--", label="95 % limit")
+        if status != NOT_IDENTIFIED:
+            axes.axvline(scale * estimate, color=looks.BLACK, linestyle=":", label="estimate")
+        patch = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0}
+        look = {"transform": axes.transAxes, "va": "top", "color": looks.VERMILION, "bbox": patch}
+        if not profile.closed[0]:
+            word = "no solution" if profile.model_ends[0] else "bound" if status == AT_BOUND else "open"
+            axes.text(0.03, 0.96, word if word == "bound" else f"← {word}", ha="left", **look)
+        if not profile.closed[1]:
+            axes.text(0.97, 0.96, "no solution →" if profile.model_ends[1] else "open →", ha="right", **look)
+        draw.legend_above(axes)
+    return axes
+
+
+def profiles_figure(fit: Fit, profiles: Mapping[str, Profile]) -> Figure:
+    """A panel for each profile, with one legend."""
+    drawn = list(profiles.values())
+    return draw.panels_figure(lambda panel, profile: draw_profile(fit, profile, panel), drawn, PANEL_HEIGHT)
+
+
+def _reach(profile: Profile, estimate: float, valley: bool) -> tuple[float, float]:
+    """Lowest and highest value to show: somewhat more than the interval; for a valley at most two decades each way."""
+    ends = [end for end, closed in zip(profile.confidence_interval, profile.closed, strict=True) if closed]
+    shown = np.array([*profile.value[profile.rise < MOST_SHOWN * profile.threshold], *ends, estimate])
+    if valley:
+        return max(estimate / 100, shown.min() / 1.1), min(100 * estimate, 1.1 * shown.max())
+    margin = 0.05 * np.ptp(shown) or 1e-12
+    return shown.min() - margin, shown.max() + margin

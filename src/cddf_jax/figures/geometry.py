@@ -242,6 +242,8 @@ ALONG: dict[str, Callable[[Manipulator, AnyFields], ArrayLike]] = {
     "friction_force": lambda _, along: _size(along.friction_force),
     "strain": lambda body, along: 100 * np.abs(body.outer_strain(along.arc_length, _bent(along)[0])),
     "heading": lambda _, along: np.degrees(_bent(along)[2]),
+    "offset": lambda body, along: 1e3 * np.asarray(body.offset(along.arc_length)),
+    "angle": lambda body, along: np.degrees([t.angle(along.arc_length) for t in body.with_angles().tendons if t.angle]),
 }
 BENDING = ("twist, $x$", "bending, $y$", "bending, $z$")
 

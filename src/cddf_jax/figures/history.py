@@ -187,7 +187,8 @@ def _draw_path(axes: Axes, x: np.ndarray, y: np.ndarray, what: str = "") -> None
     """A line in the order of its points, with an arrow on each part on which the tension rises or falls."""
     for start, end in pairwise(draw.turning_places(x)):
         leg, look = slice(start, end + 1), PULLED if x[end] >= x[start] else RELEASED
-        axes.plot(x[leg], y[leg], **(look | {"label": f"{what}{look['label']}"}))
+        named: looks.Look = look | {"label": f"{what}{look['label']}"}
+        axes.plot(x[leg], y[leg], **named)
         if np.ptp(x[leg]) > LEAST_LEG * np.ptp(x):
             draw.draw_arrow(axes, x[leg], y[leg], look["color"])
 
@@ -224,25 +225,20 @@ def _number_points(axes: Axes, x: np.ndarray, y: np.ndarray, steps: Sequence[int
     If there are many steps, only turns are numbered.
     """
     turns, many = draw.turning_places(x), len(steps) > NUMBERED
-    near = SAME * np.array([np.ptp(x) or 1.0, np.ptp(y) or 1.0])
-    points: list[list[int]] = []
-    for number, step in enumerate(steps):
-        if many and step not in turns:
-            continue
-        there = [own for own in points if np.all(np.abs(np.array([x, y])[:, [step, steps[own[0]]]] @ [1, -1]) < near)]
-        there[0].append(number) if there else points.append([number])
-    for numbers in points:
-        step = steps[numbers[0]]
+    numbered = {number: step for number, step in enumerate(steps, 1) if step in turns or not many}
+    sizes = np.array([np.ptp(x) or 1.0, np.ptp(y) or 1.0])
+    for numbers in sorted(_alike({n: np.array([x[step], y[step]]) / sizes for n, step in numbered.items()})):
+        step = numbered[numbers[0]]
         others = x[:step][x[:step] != x[step]]  # before it, where it stayed at that tension
         at, pulled = (x[step], y[step]), others.size == 0 or x[step] > others[-1]
         axes.plot(*at, "o", color=looks.BLACK, zorder=4)
         look: looks.Look = {"ha": "left", "va": "top"} if pulled else {"ha": "right", "va": "bottom"}
-        offset, text = (3, -3) if pulled else (-3, 3), _listed([number + 1 for number in numbers])
+        offset, text = (3, -3) if pulled else (-3, 3), _listed(numbers)
         axes.annotate(text, at, offset, textcoords="offset points", fontsize=7.5, zorder=5, **look)
 
 
 def _alike(lines: dict[int, np.ndarray]) -> list[list[int]]:
-    """The numbers of the lines, grouped by equal lines; groups are in the order of their last line."""
+    """The numbers of lines or points, grouped by equal ones; groups are in the order of their last number."""
     groups: list[list[int]] = []
     for number, line in lines.items():
         near = {"rtol": 0.0, "atol": SAME * np.nanmax(np.abs(line)), "equal_nan": True}

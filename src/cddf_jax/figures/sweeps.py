@@ -1,12 +1,12 @@
 """Figures of sweeps: outputs over one number as lines, over two as contours.
 
-A sweep is first brought into the units of its labels. The result of each solve is then a coordinate of every output, so
+A sweep is first brought into the units of its  The result of each solve is then a coordinate of every output, so
 that every part of an output knows which of its solves failed.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -18,16 +18,23 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
 from ..errors import InputError
+from ..quantities import QUANTITIES
 from ..statics.status import Status
 from ..sweeping.axes import OPTIONS, PATH
-from ..sweeping.one_solve import RESULT
-from . import looks, style as draw, sweep_labels as labels
-from .sweep_labels import PARTS, axis_label, results_in_words
+from ..sweeping.one_solve import COMPONENTS, RESULT
+from ..units import DIMENSION_OF, preferred
+from . import looks, style as draw
 
 if TYPE_CHECKING:
     import xarray
 
 LINES, VALUES = len(looks.CURVES), 500  # drawn at most: lines, and values along each axis
+# which part of an output
+PARTS: dict[str, Callable[[Any], str]] = {
+    "tendon": lambda number: f"of tendon {number + 1}",
+    "component": str,
+    "axis": lambda axis: f"axis {axis}",
+}
 MARKED = 30  # values up to which a line has a marker at each
 
 
@@ -89,7 +96,7 @@ def _chosen(who: str, dataset: "xarray.Dataset", output: str, over: Sequence[str
         raise InputError(
             f"{who}: {output!r} is not an output of this sweep, or is one along the body; there are {there}"
         )
-    numbers = [name for name, c in _lists(answer).items() if labels.is_numeric(c.values) and name not in PARTS]
+    numbers = [name for name, c in _lists(answer).items() if is_numeric(c.values) and name not in PARTS]
     if lost := [name for name in over if name not in numbers]:
         raise InputError(
             f"{who}: {lost[0]!r} is not a number that varies; there are {', '.join(numbers) or 'none left'}"
@@ -107,7 +114,7 @@ def _chosen(who: str, dataset: "xarray.Dataset", output: str, over: Sequence[str
     answer = answer.swap_dims(dict(zip(own, over, strict=True)))
     some = answer.isel({name: _spread(answer.sizes[name], VALUES) for name in over}).load()
     some = some.sortby([name for name in over if name != answer.attrs.get(PATH)])
-    return labels.in_label_units(some)[output].transpose(*over, ...)
+    return in_label_units(some)[output].transpose(*over, ...)
 
 
 def _lists(answer: "xarray.Dataset") -> "dict[str, xarray.DataArray]":
@@ -180,7 +187,7 @@ def _draw_curves(axes: Axes, array: "xarray.DataArray", over: str) -> None:
     places = np.ndindex(*(array.sizes[dimension] for dimension in others))
     for place, look in zip(places, looks.CURVES, strict=False):
         at = dict(zip(others, place, strict=True))
-        label, part = ", ".join(labels.value_words(array[d], i) for d, i in at.items()), array.isel(at)
+        label, part = ", ".join(value_words(array[d], i) for d, i in at.items()), array.isel(at)
         x, y, codes = part[over].values, part.values, part[RESULT].values
         style: looks.Look = look | ({"marker": "none"} if x.size > MARKED else {})
         axes.plot(x, np.where(codes == Status.successful, y, np.nan), label=label, **style)
@@ -241,3 +248,70 @@ def _write_levels(axes: Axes, lines: QuadContourSet) -> None:
         text.set_path_effects([withStroke(linewidth=2.0, foreground="white")])
         place = axes.transAxes.inverted().transform(axes.transData.transform(text.get_position()))
         text.set_visible(bool(np.all(np.abs(place - 0.5) < 0.44)))
+
+
+# --- labels ----------------------------------------------------------------------------------------
+
+
+def in_label_units(answer: "xarray.Dataset") -> "xarray.Dataset":
+    """A sweep in the units of its labels, NaN where there is no number; the results are a coordinate of each output."""
+    there = answer[RESULT] >= 0
+    for array in answer.data_vars.values():
+        if array.dtype.kind == "f":
+            there = there & array.notnull().all([d for d in array.dims if d not in there.dims])
+
+    def shown(array: "xarray.DataArray") -> tuple[object, np.ndarray, dict[str, object]]:
+        name, unit = str(array.name), array.attrs.get("units", "1")
+        scale, unit = preferred(DIMENSION_OF[unit]) if unit in DIMENSION_OF else (1.0, unit)
+        if name in QUANTITIES and QUANTITIES[name].in_percent:
+            scale, unit = QUANTITIES[name].shown
+        # integers and booleans cannot be NaN: other outputs show where there is no number
+        values = array if array.dtype.kind == "f" else array.where(there).transpose(*array.dims)
+        attrs = {"words": name_in_words(name), "unit": unit, "yes_or_no": array.dtype.kind == "b"}
+        attrs["is_path"] = name == answer.attrs.get(PATH)
+        return array.dims, np.asarray(scale * values), attrs
+
+    outputs = {name: shown(array) for name, array in answer.data_vars.items() if name != RESULT}
+    numbers = {name: shown(c) for name, c in answer.coords.items() if is_numeric(c.values) and name not in PARTS}
+    return answer.assign(outputs).assign_coords(numbers).set_coords(RESULT)
+
+
+def is_numeric(values: np.ndarray) -> bool:
+    return bool(np.issubdtype(values.dtype, np.number))
+
+
+def value_words(coordinate: "xarray.DataArray", place: int) -> str:
+    """The value at a place along a dimension: "tendon 2", "exact kinematics", "Friction coefficient = 0.4"."""
+    name, value = str(coordinate.name), coordinate.values[place]
+    if name in PARTS:
+        return PARTS[name](value).removeprefix("of ")
+    if name in OPTIONS or "words" not in coordinate.attrs:
+        return f"{value} {name}"
+    words = f"{coordinate.attrs['words']} = {value:.4g} {coordinate.attrs['unit']}"
+    return words.strip().replace("-", "\N{MINUS SIGN}")
+
+
+def axis_label(array: "xarray.DataArray") -> str:
+    """Name, part of an output, and unit: "Tip tension of tendon 2 (N)"."""
+    at = {} if array.name in array.coords else array.coords
+    parts = [words(at[name].item()) for name, words in PARTS.items() if name in at and not at[name].ndim]
+    unit = f"({array.attrs['unit']})" if array.attrs["unit"] else ""
+    return " ".join(filter(None, [array.attrs["words"], *parts, unit]))
+
+
+def name_in_words(name: str) -> str:
+    """The name of a number or output in words: "loads.tip_force.1" is "Tip force Y".
+
+    The value of a target is called so: "Base tension target".
+    """
+    if name in QUANTITIES:
+        return QUANTITIES[name].label
+    parts = name.removeprefix("loads.").replace("tendons.", "tendon.").replace(".value", ".target").split(".")
+    places = COMPONENTS if parts[0] in ("tip_force", "tip_moment", "gravity") else range(1, 100)
+    words = " ".join(str(places[int(part)]) if part.isdigit() else part for part in parts).replace("_", " ")
+    return words[:1].upper() + words[1:]
+
+
+def results_in_words(codes: np.ndarray) -> str:
+    """The results of the solves that were not successful."""
+    return ", ".join(Status(code).name.replace("_", " ") for code in np.unique(codes) if code != Status.successful)

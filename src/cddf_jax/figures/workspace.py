@@ -13,7 +13,7 @@ from ..robot.named_numbers import stem_and_tendon
 from ..statics.status import Status
 from ..sweeping.one_solve import RESULT
 from . import looks, space, style as draw
-from .sweep_labels import axis_label, in_label_units, results_in_words
+from .sweeps import axis_label, in_label_units, results_in_words
 
 if TYPE_CHECKING:
     import xarray

@@ -1,28 +1,200 @@
 """A fit as people read it: report.md with its figures, and results.json beside it."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from ..batch.drafts import check_folder
+from ..errors import InputError
 from ..estimation.bootstrap import Bootstrap
 from ..estimation.determination import NOT_IDENTIFIED, Determination
-from ..files.writing import as_json, markdown_table
+from ..estimation.profile_likelihood import Profile
+from ..files.manipulator_file import manipulator_text
+from ..files.writing import as_json, markdown_table, picked
 from ..identification.bench import Bench
 from ..identification.fit import Fit
 from ..identification.parameters import TRIALS, unit_of
-from ..identification.predictions import correlated_names, moving_names, own_names, tables_without_numbers
+from ..identification.predictions import (
+    Normality,
+    correlated_names,
+    moving_names,
+    normality,
+    own_names,
+    tables_without_numbers,
+)
 from ..identification.verdict import error_in_words, parameter_shown, shown_unit
 from ..measurements.columns import column_dimension
-from ..progress import stage
+from ..measurements.table import Measurements
+from ..progress import each, stage
+from ..robot.manipulator import Manipulator
+from ..statics.solve import solve
 from ..units import preferred
-from .fit_results import FitResults, fit_as_dict, make_report
-from .report import Files, Report, rendered
+from .report import Files, Report, rendered, versions
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from ..identification.model_free import Disagreement, ModelFreeFriction, ModelFreeLoop
+
+
+LEAST_ROWS = 3  # for friction without a model
+# of results.json
+OF_FIT = (
+    *("result", "success", "verdict", "warnings", "noise", "noise_model", "noise_estimated", "input_noise"),
+    "serial_correlation",
+    *("trial_effects", "trial_spread", "moved_by_steps", "mean_relative_error", "reduced_chi_square"),
+    *("degrees_of_freedom", "log_likelihood", "information_criteria", "restarted", "num_steps"),
+)
+OF_DETERMINATION = (
+    *("names", "value", "standard_error", "confidence_interval", "status", "combinations", "sums", "correlation"),
+    *("rank", "condition_number", "sloppy_direction"),
+)
+OF_MODEL_FREE = ("value", "standard_error", "confidence_interval", "verdict")
+OF_LOOP = (
+    *("gain", "gain_standard_error", "gain_interval", "loss", "loss_standard_error", "zero", "zero_p_value"),
+    "verdict",
+)
+OF_BOOTSTRAP = (
+    *("kind", "seed", "num_failed", "num_cases", "coverage", "remark", "names", "standard_error"),
+    *("confidence_interval", "bias", "correlation", "estimates"),
+)
+
+
+class ModelFree(NamedTuple):
+    """Friction without a model of the body, and how far that of the fit lies from it."""
+
+    friction: "ModelFreeFriction"
+    disagreement: "Disagreement | None"  # None where the fit has no friction coefficient to compare
+
+
+class LoopCompared(NamedTuple):
+    """The result of a loop of tensions without a model of the body, and the loss of the fit."""
+
+    model_free: "ModelFreeLoop"
+    loss_of_fit: float  # 1/T_tip - 1/T_base of a pull, 1/N
+
+
+class FitResults(NamedTuple):
+    """A fit and the results that belong to it."""
+
+    fit: Fit
+    profiles: dict[str, Profile]  # by fitted parameter; none of a fit that failed
+    bootstraps: tuple[Bootstrap, ...]
+    normality: dict[str, Normality]
+    model_free: dict[str, ModelFree]  # by table
+    loops: dict[str, LoopCompared]  # by table with a history
+
+
+def make_report(fit: Fit, *, bootstraps: Sequence[Bootstrap] = (), with_profiles: bool = True) -> FitResults:
+    """Compute all that a report contains; profiles take some seconds."""
+    profiles = (
+        {name: fit.profile(name) for name in each("profile", own_names(fit))} if fit.success and with_profiles else {}
+    )
+    return FitResults(fit, profiles, tuple(bootstraps), normality(fit), _model_free(fit), _loops(fit))
+
+
+def _model_free(fit: Fit) -> dict[str, ModelFree]:
+    """Model-free friction of every table with tip tension and tip angle, for one tendon parallel to the axis."""
+    body = fit.manipulator
+    if body.kinematics != "exact" or body.num_tendons != 1 or body.slanted:
+        return {}
+    from ..identification.model_free import COLUMNS, disagreement, model_free_friction
+
+    found, mu = {}, "friction_coefficient"
+    for name, table in _from_rest(fit, COLUMNS):
+        if len(table) >= LEAST_ROWS:
+            with suppress(InputError):  # no row is bent
+                friction = model_free_friction(table, in_order=name in fit.without_jitter)
+                determined = mu in fit.names and np.isfinite(fit.standard_error[mu])
+                compared = None
+                if determined:
+                    reach = fit.evidence.uncertainty(np.array([[own == mu for own in fit.names]], float))
+                    freedom = float(reach.freedom[0])
+                    compared = disagreement(friction, fit.value[mu], fit.standard_error[mu], freedom)
+                found[name] = ModelFree(friction, compared)
+    return found
+
+
+def _from_rest(fit: Fit, columns: Collection[str]) -> Iterator[tuple[str, Measurements]]:
+    """The tables that have these columns, and whose trials begin at rest if their rows have a history."""
+    named = zip(fit.model.names, fit.model.experiments, strict=True)
+    rest = {name for name, one in named if not isinstance(one, Bench) or one.course is None or one.course.past is None}
+    for name, table in zip(fit.model.names, fit.tables, strict=True):
+        if name in rest and all(column in table for column in columns):
+            yield name, table
+
+
+def _loops(fit: Fit) -> dict[str, LoopCompared]:
+    """The loops in tables with a history and tip tensions, of a tendon parallel to the axis without drag or loads."""
+    body = fit.manipulator
+    if not fit.success or body.tendon_drag is not None or body.slanted or fit.setting.loads is not None:
+        return {}
+    from ..identification.model_free import model_free_loop
+
+    found = {}
+    for name, table in _from_rest(fit, ("tip_tension",)):
+        if name in fit.without_jitter:
+            with suppress(InputError):  # not released far enough
+                loop, tension = model_free_loop(table), float(table["base_tension"].max())
+                found[name] = LoopCompared(loop, float(1 / solve(body, tension).tip_tension[0]) - 1 / tension)
+    return found
+
+
+# --- results.json --------------------------------------------------------------------------------
+
+
+def fit_as_dict(report: FitResults) -> dict[str, object]:
+    """All results and all inputs of a fit, SI units, for JSON, where an infinite number becomes null."""
+    fit = report.fit
+    return {
+        **_determination_as_dict(fit),
+        **picked(fit, OF_FIT),
+        "alone": {name: _determination_as_dict(determination) for name, determination in fit.alone.items()},
+        "pull_alone": None if fit.pull_alone is None else _determination_as_dict(fit.pull_alone),
+        "without_jitter": fit.without_jitter,
+        "normality": report.normality,
+        "cost_from_each_start": fit.starts,
+        "profiles": report.profiles,
+        "bootstraps": [picked(bootstrap, OF_BOOTSTRAP) for bootstrap in report.bootstraps],
+        "model_free_friction": {
+            name: {"unit": "1"} | picked(found.friction, OF_MODEL_FREE) | {"disagreement": found.disagreement}
+            for name, found in report.model_free.items()
+        },
+        "model_free_loop": {
+            name: picked(found.model_free, OF_LOOP) | {"loss_of_fit": found.loss_of_fit, "unit_of_loss": "1/N"}
+            for name, found in report.loops.items()
+        },
+        "data": [_table_as_dict(table) for table in fit.tables],
+        "manipulator": _as_toml(fit.model.manipulator),
+        "kinematics": fit.manipulator.kinematics,
+        "options": fit.options,
+        "versions": versions(),
+    }
+
+
+def _table_as_dict(table: Measurements) -> dict[str, object]:
+    named = {"files": table.files or (table.name,), "rows": len(table), "sha256": table.checksum}
+    named |= {"markers": {name: marker._asdict() for name, marker in table.markers.items()}} if table.markers else {}
+    return picked(table, ("name", "simulated", "read_as")) | named | {"holds_averaged": table.spread is not None}
+
+
+def _determination_as_dict(found: Determination) -> dict[str, object]:
+    units = {name: unit_of(name) for name in (*found.names, *found.identified_together)}
+    return {"unit": units} | picked(found, OF_DETERMINATION)
+
+
+def _as_toml(manipulator: Manipulator) -> str | None:
+    """The text of a file of the manipulator at the start of the search; None for profiles that no file can hold."""
+    for outside in (False, True):
+        with suppress(InputError):
+            return manipulator_text(manipulator, offsets_outside_wall=outside)
+    return None
+
+
+# --- the report -----------------------------------------------------------------------------------
 
 
 def write_fit(fit: Fit, folder: str | Path, *, bootstraps: Sequence[Bootstrap] = ()) -> None:
@@ -55,8 +227,7 @@ def fit_report(results: FitResults) -> Report:
 @stage("drawing")
 def report_figures(results: FitResults) -> "dict[str, Figure]":
     """The figures by file name; `left_out` says why others are missing."""
-    from ..figures.estimates import profiles_figure
-    from ..figures.fit import residuals_figure, table_figures
+    from ..figures.fit import profiles_figure, residuals_figure, table_figures
 
     fit, missing = results.fit, left_out(results)
     figures = table_figures(fit)

@@ -5,20 +5,13 @@ from ..files.writing import as_json, markdown_table, picked
 from ..identification.experiment_design import Plan, Ranked
 from ..identification.parameters import unit_of
 from ..identification.verdict import error_in_words
-from .report import Files, Report, rendered
+from .report import Report
 
 
 def plan_report(plan: Plan) -> Report:
     """What to measure next."""
     text, answer = plan_as_markdown(plan), plan_as_dict(plan)
-
-    def files() -> Files:
-        from ..figures.estimates import draw_plan
-        from ..figures.style import figure_of
-
-        return {"plan.md": text, "plan.json": as_json(answer)} | rendered({"plan": figure_of(draw_plan(plan))})
-
-    return Report(text, answer, files)
+    return Report(text, answer, lambda: {"plan.md": text, "plan.json": as_json(answer)})
 
 
 def plan_as_markdown(plan: Plan) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from ..errors import SolveError
 from ..files.csv_table import table_csv
 from ..files.writing import as_json
-from ..history.history import GOOD, STEPS, History, last_line, listed, steps_in_words
+from ..history.history import GOOD, STEPS, History, last_line, steps_in_words
 from ..history.stepped import ACCURACY, SteppedStates
 from ..history.trace import trace
 from ..programs.evaluated import evaluated
@@ -24,7 +24,6 @@ from .report import Files, Report, rendered
 
 FINE = 256  # steps, at least, so that loops are smooth, and one program serves most paths
 FINE_IN_STEPS = 64  # the same in space, and with several tendons or loads
-SAME = 1e-9  # relative difference up to which two states count as the same
 SEEN = 1e-5  # of the work: a larger difference from the sum of its parts is reported
 # by the dimension of a path, what `trace` takes
 TARGETS: dict[Dimension, Callable[[np.ndarray], np.ndarray | Displacement | TipAngle]] = {
@@ -47,14 +46,6 @@ class TracedPath(NamedTuple):
     def states(self) -> dict[str, np.ndarray]:
         """The numbers after the steps of the path."""
         return {name: values[self.steps] for name, values in self.numbers.items()}
-
-
-class Cycle(NamedTuple):
-    """A part of a path that ends in the state in which it began."""
-
-    first: int  # steps, from 1
-    last: int
-    loss: float  # J
 
 
 def traced(
@@ -135,39 +126,17 @@ def trace_report(found: TracedPath) -> Report:
     return Report(trace_in_words(found), answer, files)
 
 
-def cycles(states: dict[str, np.ndarray]) -> list[Cycle]:
-    """The cycles of a path, each from the nearest earlier step with the same state. No two cycles overlap in part."""
-    found: list[Cycle] = []
-    state = np.column_stack([states[name] for name in ("base_tension", "tip_tension", "tip_angle", "stored_energy")])
-    near, loss = SAME * np.max(np.abs(state), axis=0), states["friction_loss"]
-
-    def are_one(step: int, other: int) -> bool:
-        return bool(np.all(np.abs(state[step] - state[other]) <= near))
-
-    for last in range(1, len(state)):
-        earlier = () if are_one(last, last - 1) else reversed(range(last - 1))
-        for first in earlier:
-            apart = all(cycle.last <= first + 1 or cycle.first >= first + 1 for cycle in found)
-            if apart and are_one(last, first):
-                found.append(Cycle(first + 1, last + 1, float(loss[last] - loss[first])))
-                break
-    return found
-
-
 def trace_as_dict(found: TracedPath) -> dict[str, object]:
-    """The states after the steps of a path, its closed cycles and its loads, SI units, for JSON."""
+    """The states after the steps of a path, and its loads, SI units, for JSON."""
     results = [Status(code).name for code in np.asarray(found.history.status)[found.steps]]
     steps = np.arange(1, len(found.steps) + 1)
     loads = {} if found.loads is None else {"loads": loads_as_dict(found.loads)}
-    return {"steps": steps, "results": results, **found.states, "cycles": cycles(found.states), **loads}
+    return {"steps": steps, "results": results, **found.states, **loads}
 
 
 def trace_in_words(found: TracedPath) -> str:
-    """What slid in each step, the state after it, the cycles that closed, and where the work went."""
+    """What slid in each step, the state after it, and where the work went."""
     states, lines = found.states, steps_in_words(found.history, found.steps)
-    for cycle in cycles(states)[-STEPS:]:
-        tension, loss = listed(states["base_tension"][cycle.last - 1], "force"), shown(cycle.loss, "energy")
-        lines.append(f"cycle from step {cycle.first} to {cycle.last}, closed at {tension}: {loss} lost")
     rest = "by the published kinematics" if found.manipulator.kinematics == "published" else "by the short steps"
     work, stored, lost = (float(states[name][-1]) for name in ("work", "stored_energy", "friction_loss"))
     parts = [f"{shown(stored, 'energy')} stored", f"{shown(lost, 'energy')} lost to friction"]
