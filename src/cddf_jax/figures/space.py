@@ -24,6 +24,7 @@ from .geometry import AZIMUTH, ELEVATION, Drawn, SpatialBody
 # by the name of a plane: the coordinates to the right and up, and the one that points to the reader
 VIEWS = {"XY": (0, 1, 2), "XZ": (0, 2, 1), "YZ": (1, 2, 0)}
 TOWARDS = {"XY": (0.0, 0.0, 1.0), "XZ": (0.0, -1.0, 0.0), "YZ": (1.0, 0.0, 0.0)}
+SIDE = 2.2  # inches, of the square in which a plot lies
 VIEWS_HEIGHT = 1.9  # inches, of the three views with their labels
 LABELS_OFF = ((0.13, 0.32), (0.13, 0.32), (0.17, 0.42))  # inches between an axis, its numbers and its name
 LIGHT = np.array([0.25, -0.45, 0.86])  # from where light falls on a body
@@ -33,24 +34,25 @@ LIGHT = np.array([0.25, -0.45, 0.86])  # from where light falls on a body
 
 
 @contextmanager
-def scene_or_new(axes: Axes | None, points: np.ndarray, width: float, height: float) -> Iterator[Axes3D]:
+def scene_or_new(axes: Axes | None, points: np.ndarray, norm: Normalize, label: str) -> Iterator[Axes3D]:
     """Axes in three dimensions around points, mm, to draw into: those given, or those of a new figure.
 
-    In a new figure the plot has this width and at most this height, inches; the figure fits around it.
+    The scale of colours with its label stands beside the plot. A new figure fits around the plot.
     """
     if isinstance(axes, Axes3D):
         _set_scene(axes, points)
+        draw.scale_beside(axes, norm, label, shrink=0.7, pad=0.12)
         yield axes
         return
     if axes is not None:
         raise InputError('figures: the body is in space; give axes with projection="3d", or none')
     with draw.house_style():
         figure = draw.placed_figure(draw.SINGLE_COLUMN, 3.0)
-        scene, taken = new_scene(figure, points, 0.12, 0.45, width, height)
-        figure.set_figheight(taken + 0.95)
-        side, left = max(width, height), 0.12 + 0.5 * (width - max(width, height))
-        up, across = figure.get_figheight(), figure.get_figwidth()
-        scene.set_position((left / across, (0.6 + 0.5 * (taken - side)) / up, side / across, side / up))
+        scene, taken = new_scene(figure, points, 0.12, 0.45, SIDE, SIDE)
+        up, across = taken + 0.95, figure.get_figwidth()
+        figure.set_figheight(up)
+        scene.set_position((0.12 / across, (0.6 + 0.5 * (taken - SIDE)) / up, SIDE / across, SIDE / up))
+        draw.colour_scale(figure, norm, label, draw.SINGLE_COLUMN - 0.5, 0.6, up - 0.95)
         yield scene
 
 
@@ -66,15 +68,6 @@ def new_scene(
     scene.patch.set_visible(False)
     _set_scene(scene, points)
     return scene, _fill_scene(scene, width, height)
-
-
-def scale_of_scene(scene: Axes3D, norm: Normalize, label: str, *, given: bool) -> None:
-    """The colours of values beside a plot in given axes, or in a figure of `scene_or_new`."""
-    if given:
-        draw.scale_beside(scene, norm, label, shrink=0.7, pad=0.12)
-    else:
-        figure = draw.figure_of(scene)
-        draw.colour_scale(figure, norm, label, draw.SINGLE_COLUMN - 0.5, 0.6, figure.get_figheight() - 0.95)
 
 
 def sight() -> np.ndarray:
@@ -144,9 +137,8 @@ def draw_spatial_shape(what: Drawn, axes: Axes | None, before: np.ndarray | None
     """
     norm = draw.tension_scale(what.tension)
     points = what.points if before is None else np.concatenate([what.points, before])
-    with scene_or_new(axes, points, 2.2, 2.15) as scene:
+    with scene_or_new(axes, points, norm, "$T$ (N)") as scene:
         draw_scene(scene, what, norm, before)
-        scale_of_scene(scene, norm, "$T$ (N)", given=axes is not None)
         if axes is None:
             draw.legend_of_loads(draw.figure_of(scene), what.loads, loc="upper left", ncols=3)
     return scene

@@ -119,13 +119,13 @@ def colour_scale(figure: Figure, norm: Normalize, label: str, left: float, botto
 
 
 @contextmanager
-def axes_or_new(axes: Axes | None, height: float, width: float = SINGLE_COLUMN) -> Iterator[Axes]:
+def axes_or_new(axes: Axes | None, height: float) -> Iterator[Axes]:
     """The axes to draw into: those given, in their own style, or new ones in the house style, in a figure in inches."""
     if axes is not None:
         yield axes
         return
     with house_style():
-        yield new_figure(width, height).subplots()
+        yield new_figure(SINGLE_COLUMN, height).subplots()
 
 
 def figure_of(axes: Axes) -> Figure:

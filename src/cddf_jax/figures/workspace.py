@@ -66,9 +66,8 @@ def draw_workspace(dataset: "xarray.Dataset", by: "str | xarray.DataArray" = TOT
             draw.scale_beside(axes, cloud.norm, cloud.label, pad=0.02)
             _legend(axes, cloud)
         return axes
-    with space.scene_or_new(axes, cloud.tips, 2.2, 2.2) as scene:
+    with space.scene_or_new(axes, cloud.tips, cloud.norm, cloud.label) as scene:
         _draw_cloud(scene, cloud)
-        space.scale_of_scene(scene, cloud.norm, cloud.label, given=axes is not None)
         _legend(draw.figure_of(scene) if axes is None else scene, cloud)
     return scene
 

@@ -375,7 +375,7 @@ def short_steps_in_words(fit: Fit) -> str:
 def _correlation_section(fit: Fit) -> list[str]:
     names = correlated_names(fit)
     places = [fit.names.index(name) for name in names]
-    rows = [[name, *(f"{fit.correlation[i, k]:.3f}" for k in places)] for name, i in zip(names, places, strict=True)]
+    rows = [[name, *(f"{fit.correlation[i, k]:.4f}" for k in places)] for name, i in zip(names, places, strict=True)]
     return _section("Correlation", markdown_table(("parameter", *names), rows) if len(names) > 1 else [])
 
 
