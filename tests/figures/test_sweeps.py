@@ -101,6 +101,10 @@ def test_yes_and_no():
     axes = drawn(answer, ["stable"]).axes[0]
     assert [text.get_text() for text in axes.get_yticklabels()] == ["no", "yes"]
     assert axes.lines[0].get_ydata().tolist() == [1, 1, 1, 1, 0]
+    answer["result"][4], answer["tip_angle"][4] = LOCKED, np.nan  # failed: neither yes nor no
+    line, failed = drawn(answer, ["stable"]).axes[0].lines
+    np.testing.assert_array_equal(line.get_ydata(), [1, 1, 1, 1, np.nan])
+    assert failed.get_xdata().tolist() == [50.0]
 
 
 # --- contours ------------------------------------------------------------------------------------

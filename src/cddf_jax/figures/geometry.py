@@ -232,6 +232,10 @@ def _bent(along: AnyFields) -> tuple[ArrayLike, ArrayLike, ArrayLike]:
     return _size(along.curvature[..., 1:]), along.twist, np.arccos(np.clip(along.frame[..., 0, 0], -1.0, 1.0))
 
 
+def _angles(manipulator: Manipulator, arc_length: ArrayLike) -> list[ArrayLike]:
+    return [t.angle(arc_length) for t in manipulator.with_angles().tendons if t.angle is not None]
+
+
 # values in the unit of their label, (points,) or (tendons, points)
 ALONG: dict[str, Callable[[Manipulator, AnyFields], ArrayLike]] = {
     "tension": lambda _, along: along.tension,
@@ -243,7 +247,7 @@ ALONG: dict[str, Callable[[Manipulator, AnyFields], ArrayLike]] = {
     "strain": lambda body, along: 100 * np.abs(body.outer_strain(along.arc_length, _bent(along)[0])),
     "heading": lambda _, along: np.degrees(_bent(along)[2]),
     "offset": lambda body, along: 1e3 * np.asarray(body.offset(along.arc_length)),
-    "angle": lambda body, along: np.degrees([t.angle(along.arc_length) for t in body.with_angles().tendons if t.angle]),
+    "angle": lambda body, along: np.degrees(_angles(body, along.arc_length)),
 }
 BENDING = ("twist, $x$", "bending, $y$", "bending, $z$")
 

@@ -1,7 +1,7 @@
 """Figures of sweeps: outputs over one number as lines, over two as contours.
 
-A sweep is first brought into the units of its  The result of each solve is then a coordinate of every output, so
-that every part of an output knows which of its solves failed.
+A sweep is first brought into the units of its labels. The result of each solve is then a coordinate of every output,
+so that every part of an output knows which of its solves failed.
 """
 
 from collections.abc import Callable, Sequence
@@ -145,18 +145,17 @@ def sweep_figure(answer: "xarray.Dataset", outputs: Sequence[str]) -> Figure:
         raise InputError("no number varies along an axis of its own")
     if len(over) > 2 or (len(over) == 2 and len(dims) > 2):
         raise InputError(f"{len(dims)} axes are too many for one figure; choose with xarray")
-    parts = [part for name in outputs for part in _components(answer, name)]
+    parts = [(part, name) for name in outputs for part in _components(answer, name)]
 
-    def draw_one(panel: Axes, part: "xarray.Dataset") -> None:
-        name = next(name for name in outputs if name in part)
-        draw_lines(part, name, over[0], panel) if len(over) == 1 else draw_map(part, name, over[0], over[1], panel)
+    def draw_one(panel: Axes, what: "tuple[xarray.Dataset, str]") -> None:
+        draw_lines(*what, over[0], panel) if len(over) == 1 else draw_map(*what, over[0], over[1], panel)
 
     return draw.panels_figure(draw_one, parts, 2.1)
 
 
 def _components(answer: "xarray.Dataset", name: str) -> "list[xarray.Dataset]":
-    """A dataset with one output, for each of its components."""
-    parts = [answer[[name, RESULT]]]
+    """The sweep with one component of an output, for each of them."""
+    parts = [answer]
     for dimension in answer[name].dims:
         if dimension not in answer[RESULT].dims:
             parts = [part.isel({dimension: i}) for part in parts for i in range(part.sizes[dimension])]
