@@ -232,8 +232,8 @@ def _bent(along: AnyFields) -> tuple[ArrayLike, ArrayLike, ArrayLike]:
     return _size(along.curvature[..., 1:]), along.twist, np.arccos(np.clip(along.frame[..., 0, 0], -1.0, 1.0))
 
 
-def _angles(manipulator: Manipulator, arc_length: ArrayLike) -> list[ArrayLike]:
-    return [t.angle(arc_length) for t in manipulator.with_angles().tendons if t.angle is not None]
+def _angles(manipulator: Manipulator, arc_length: ArrayLike) -> np.ndarray:
+    return np.array([t.angle(arc_length) for t in manipulator.with_angles().tendons if t.angle is not None])
 
 
 # values in the unit of their label, (points,) or (tendons, points)

@@ -146,26 +146,26 @@ def _loops(fit: Fit) -> dict[str, LoopCompared]:
 # --- results.json --------------------------------------------------------------------------------
 
 
-def fit_as_dict(report: FitResults) -> dict[str, object]:
+def fit_as_dict(results: FitResults) -> dict[str, object]:
     """All results and all inputs of a fit, SI units, for JSON, where an infinite number becomes null."""
-    fit = report.fit
+    fit = results.fit
     return {
         **_determination_as_dict(fit),
         **picked(fit, OF_FIT),
         "alone": {name: _determination_as_dict(determination) for name, determination in fit.alone.items()},
         "pull_alone": None if fit.pull_alone is None else _determination_as_dict(fit.pull_alone),
         "without_jitter": fit.without_jitter,
-        "normality": report.normality,
+        "normality": results.normality,
         "cost_from_each_start": fit.starts,
-        "profiles": report.profiles,
-        "bootstraps": [picked(bootstrap, OF_BOOTSTRAP) for bootstrap in report.bootstraps],
+        "profiles": results.profiles,
+        "bootstraps": [picked(bootstrap, OF_BOOTSTRAP) for bootstrap in results.bootstraps],
         "model_free_friction": {
             name: {"unit": "1"} | picked(found.friction, OF_MODEL_FREE) | {"disagreement": found.disagreement}
-            for name, found in report.model_free.items()
+            for name, found in results.model_free.items()
         },
         "model_free_loop": {
             name: picked(found.model_free, OF_LOOP) | {"loss_of_fit": found.loss_of_fit, "unit_of_loss": "1/N"}
-            for name, found in report.loops.items()
+            for name, found in results.loops.items()
         },
         "data": [_table_as_dict(table) for table in fit.tables],
         "manipulator": _as_toml(fit.model.manipulator),
@@ -252,11 +252,11 @@ def left_out(results: FitResults) -> dict[str, str]:
 # --- words ---------------------------------------------------------------------------------------
 
 
-def fit_in_words(report: FitResults) -> str:
+def fit_in_words(results: FitResults) -> str:
     """The report for the terminal."""
-    fit = report.fit
+    fit = results.fit
     lines = list(fit.verdict)
-    for title, entries in _also_said(report).items():
+    for title, entries in _also_said(results).items():
         lines += ["", f"{title}:", *(f"  {entry}" for entry in entries)]
     lines += [short_steps_in_words(fit)] if fit.moved_by_steps else []
     lines += [f"simulated data: {simulated}"] if (simulated := _simulated_names(fit)) else []
@@ -264,35 +264,35 @@ def fit_in_words(report: FitResults) -> str:
     return "\n".join(lines + [f"warning: {warning}" for warning in fit.warnings])
 
 
-def fit_as_markdown(report: FitResults, figures: Sequence[str] | None = None) -> str:
+def fit_as_markdown(results: FitResults, figures: Sequence[str] | None = None) -> str:
     """The report: first in words what was determined and what was not, then the numbers.
 
     `figures` are the names of the figures beside it; None if no figures are made.
     """
-    fit = report.fit
+    fit = results.fit
     later = [warning for warning in fit.warnings if warning not in fit.remarks]  # remarks are in the first lines
     sections = [
-        _in_short(report),
+        _in_short(results),
         _goodness(fit),
         _correlation_section(fit),
-        _profile_section(report),
-        *(_bullets(title[0].upper() + title[1:], entries) for title, entries in _also_said(report).items()),
+        _profile_section(results),
+        *(_bullets(title[0].upper() + title[1:], entries) for title, entries in _also_said(results).items()),
         _trial_section(fit),
-        _noise_section(report),
-        _bullets("Without a model of the body", _model_free_in_words(report)),
+        _noise_section(results),
+        _bullets("Without a model of the body", _model_free_in_words(results)),
         _bullets("Warnings", later),
         _bullets("What was stated about the bench", _stated(fit)),
-        _figure_section(report, figures),
+        _figure_section(results, figures),
         _bullets("How the files were read", [line for table in fit.tables for line in table.read_as]),
     ]
     foot = "results.json holds what is needed to repeat this fit: manipulator, options, checksums, versions.\n"
     return "\n\n".join("\n".join(section) for section in sections if section) + f"\n\n{foot}"
 
 
-def _also_said(report: FitResults) -> dict[str, list[str]]:
+def _also_said(results: FitResults) -> dict[str, list[str]]:
     """What the terminal and the report say beside the verdict, by title."""
-    fit, said = report.fit, {}
-    for bootstrap in report.bootstraps:
+    fit, said = results.fit, {}
+    for bootstrap in results.bootstraps:
         entries = []
         for name in moving_names(fit):
             (scale, unit), (low, high) = shown_unit(name), bootstrap.confidence_interval[name]
@@ -324,8 +324,8 @@ def _bullets(title: str, lines: Sequence[str]) -> list[str]:
     return _section(title, [f"- {line}" for line in lines])
 
 
-def _in_short(report: FitResults) -> list[str]:
-    fit, remarks = report.fit, report.fit.remarks
+def _in_short(results: FitResults) -> list[str]:
+    fit, remarks = results.fit, results.fit.remarks
     lines = [f"- {line}" for line in (*fit.verdict, *(text for text in fit.warnings if text in remarks))]
     if simulated := _simulated_names(fit):
         lines += ["", f"The data are simulated: {simulated}."]
@@ -379,11 +379,11 @@ def _correlation_section(fit: Fit) -> list[str]:
     return _section("Correlation", markdown_table(("parameter", *names), rows) if len(names) > 1 else [])
 
 
-def _profile_section(report: FitResults) -> list[str]:
-    if not report.profiles:
+def _profile_section(results: FitResults) -> list[str]:
+    if not results.profiles:
         return []
     rows = []
-    for name, profile in report.profiles.items():
+    for name, profile in results.profiles.items():
         scale, unit = shown_unit(name)
         ends = zip(profile.confidence_interval, profile.closed, profile.model_ends, strict=True)
         rows.append([name, *(_end_in_words(scale * end, unit, closed, gone) for end, closed, gone in ends)])
@@ -418,8 +418,8 @@ def _trial_section(fit: Fit) -> list[str]:
     return _section("Trials", [text, "", *table] if rows else [])
 
 
-def _noise_section(report: FitResults) -> list[str]:
-    fit = report.fit
+def _noise_section(results: FitResults) -> list[str]:
+    fit = results.fit
     head = ("data", "standard deviation", "made of", "normal: Shapiro-Wilk p")
     head += ("correlation from row to row of a hold", "count as independent")
     rows = []
@@ -429,7 +429,7 @@ def _noise_section(report: FitResults) -> list[str]:
         if label in fit.noise_model:
             floor, fraction = (part or 0.0 for part in fit.noise_model[label])
             made_of = f"{scale * floor:.3g} {unit} and {100 * fraction:.3g} % of the value"
-        tests = _or_dash(report.normality[label].p_value, ".2g"), _or_dash(alike.lag_one, ".2f")
+        tests = _or_dash(results.normality[label].p_value, ".2g"), _or_dash(alike.lag_one, ".2f")
         independent = f"{alike.num_effective:.0f} of {alike.num_readings}"
         rows.append([label, f"{scale * deviation:.3g} {unit}", made_of, *tests, independent])
     for label, deviation in fit.input_noise.items():
@@ -444,25 +444,25 @@ def _or_dash(value: float, form: str) -> str:
     return format(value, form) if np.isfinite(value) else "-"
 
 
-def _model_free_in_words(report: FitResults) -> list[str]:
+def _model_free_in_words(results: FitResults) -> list[str]:
     lines = []
-    for name, (friction, compared) in report.model_free.items():
+    for name, (friction, compared) in results.model_free.items():
         lines += [f"{name}: {line}" for line in friction.verdict]
         if compared is not None:
             agrees = f"the fit lies {abs(compared.z):.1f} standard errors from it"
             lines.append(f"{name}: {compared.sentence or agrees}")
-    for name, (loop, loss) in report.loops.items():
+    for name, (loop, loss) in results.loops.items():
         lines += [f"{name}: {line}" for line in loop.verdict]
         lines.append(f"{name}: the fit has {loss:.4g} 1/N")
     return lines
 
 
-def _figure_section(report: FitResults, figures: Sequence[str] | None) -> list[str]:
+def _figure_section(results: FitResults, figures: Sequence[str] | None) -> list[str]:
     """The figures, and why others are missing."""
     if figures is None:
         return []
     pictures = [f"![{name.replace('_', ' ')}]({name}.png)" for name in figures]
-    missing = [f"- No figure of {name.replace('_', ' ')}: {reason}." for name, reason in left_out(report).items()]
+    missing = [f"- No figure of {name.replace('_', ' ')}: {reason}." for name, reason in left_out(results).items()]
     between = [""] if pictures and missing else []
     return ["## Figures", "", *pictures, *between, *missing]
 
