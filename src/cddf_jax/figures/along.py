@@ -54,25 +54,28 @@ def draw_along(
         _draw_lines(axes, 1e3 * s, lines, names, style)
         axes.set(xlabel=QUANTITIES["arc_length"].axis_label, ylabel=QUANTITIES[quantity].axis_label)
         axes.set_xlim(0.0, 1e3 * s[-1] * (1.06 if len(lines) > 1 else 1.0))
-        axes.update_datalim([(0.0, 0.0)])
-        axes.lines[-1].sticky_edges.y.append(0.0)
-        axes.autoscale_view()
+        if quantity != "angle":  # whose zero means nothing
+            axes.update_datalim([(0.0, 0.0)])
+            axes.lines[-1].sticky_edges.y.append(0.0)
+            axes.autoscale_view()
     return axes
 
 
 def _draw_lines(axes: Axes, s: np.ndarray, values: np.ndarray, names: Sequence[str], style: looks.Look) -> None:
     """Lines that differ by dashes, and where these are used up by markers; several lines have numbers at their ends."""
     count, dashes = len(values), cycle([look["linestyle"] for look in looks.CURVES])
+    ends: dict[tuple[float, float], list[str]] = {}
     for i, (line, name, dash) in enumerate(zip(values, names, dashes, strict=False)):
         marker = MARKERS[i // len(looks.CURVES) % len(MARKERS)]
         look: looks.Look = {"color": looks.BLACK, "linestyle": dash, "marker": marker, "markevery": 25}
         look |= {"markerfacecolor": "white", "label": name if count > 1 else ""}
         axes.plot(s, line, **(look | style))
-        if count > 1:
-            last = np.flatnonzero(np.isfinite(line))[-1]
-            box = {"facecolor": "white", "edgecolor": "none", "pad": 0.4}
-            at = (s[last], line[last])
-            axes.annotate(name.split()[-1], at, (3, 0), textcoords="offset points", va="center", fontsize=7.5, bbox=box)
+        last = np.flatnonzero(np.isfinite(line))[-1]
+        ends.setdefault((float(s[last]), round(float(line[last]), 3)), []).append(name.split()[-1])
+    box = {"facecolor": "white", "edgecolor": "none", "pad": 0.4}
+    for end, numbers in ends.items() if count > 1 else ():
+        place = {"textcoords": "offset points", "va": "center", "fontsize": 7.5, "bbox": box}
+        axes.annotate(", ".join(numbers), end, (3, 0), **place)
     if count > 1 and "label" not in style:
         draw.legend_above(axes, 3)
 
