@@ -142,7 +142,7 @@ def sweep_figure(answer: "xarray.Dataset", outputs: Sequence[str]) -> Figure:
     over, path = [name for name in dims if name in answer.coords and name not in OPTIONS], answer.attrs.get(PATH)
     over = [path] if path in over else over
     if not over:
-        raise InputError("no number varies along an axis of its own")
+        raise InputError("no number varies along an axis of its own; choose what to draw with xarray")
     if len(over) > 2 or (len(over) == 2 and len(dims) > 2):
         raise InputError(f"{len(dims)} axes are too many for one figure; choose with xarray")
     parts = [(part, name) for name in outputs for part in _components(answer, name)]
