@@ -30,8 +30,6 @@ in_space = cddf.solve(three, [60.0, 35.0, 5.0])
 table = cddf.read_measurements("data/tip_angle_simulated.csv")
 names = "friction_coefficient", "youngs_modulus", "tip_gain"
 fit = cddf.fit(robot, table, names, {"tip_gain": (1.0, 0.01)})
-candidates = cddf.standard_candidates(robot, 85.0)
-plan = cddf.plan(fit, [one for one in candidates if "weight" not in one.name])
 
 axes = {"base_tension": np.linspace(5.0, 145.0, 15), "friction_coefficient": np.linspace(0.1, 0.6, 6)}
 grid = cddf.sweep(robot, axes, outputs=("tip_tension", "tension_loss"))
@@ -68,12 +66,6 @@ PICTURES = (
         "Shape in space",
         "Three tendons, tensions as colours, shadows on the walls. Tendons are dashed where the body hides them.",
         "figures.draw_shape(three, in_space)",
-    ),
-    Picture(
-        "view",
-        "Plane view",
-        "The same body from the side; so it is drawn from above and from the front.",
-        'figures.draw_view(three, in_space, "XZ")',
     ),
     Picture(
         "along_curvature",
@@ -136,12 +128,6 @@ PICTURES = (
         'figures.draw_profile(fit, fit.profile("friction_coefficient"))',
     ),
     Picture(
-        "correlation",
-        "Correlation",
-        "How the estimates of one fit hang together.",
-        "figures.draw_correlation(fit)",
-    ),
-    Picture(
         "lines",
         "A sweep as lines",
         "One line for each friction coefficient; doubtful and failed solves would be marked, and the legend say why.",
@@ -170,12 +156,6 @@ PICTURES = (
         "A trade-off",
         "Every point is a design; none is better than another in both volume and strain.",
         "figures.draw_trade_off(front)",
-    ),
-    Picture(
-        "plan",
-        "What to measure next",
-        "Standard errors that are expected after each candidate; hollow is what it leaves open.",
-        "figures.draw_plan(plan)",
     ),
 )
 

@@ -2,21 +2,18 @@
 
 import gc
 import os
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from .errors import InputError, needed
 
 
-def configure_jax(*, all_cores: bool = False, processes: Mapping[str, Any] | None = None) -> None:
+def configure_jax(*, all_cores: bool = False, distributed: bool = False) -> None:
     """Set double precision, and keep compiled programs for the next process. Call it before JAX computes anything.
 
     Args:
         all_cores: make every core a device, for large batches. The user's settings for the devices, JAX_NUM_CPU_DEVICES
             or XLA_FLAGS, are kept.
-        processes: arguments of `jax.distributed.initialize` if several processes share the work; if it is empty, JAX
-            asks Slurm or MPI.
+        distributed: several processes share the work; JAX asks Slurm or MPI which one this is.
 
     Raises:
         InputError: if JAX_PLATFORMS names a platform that JAX cannot use, or a package is missing.
@@ -30,8 +27,8 @@ def configure_jax(*, all_cores: bool = False, processes: Mapping[str, Any] | Non
     given = "xla_force_host_platform_device_count" in os.environ.get("XLA_FLAGS", "")
     if all_cores and jax.config.jax_num_cpu_devices < 0 and not given:  # type: ignore[attr-defined]  # JAX types none
         jax.config.update("jax_num_cpu_devices", _cores())
-    if processes is not None:
-        jax.distributed.initialize(**processes)
+    if distributed:
+        jax.distributed.initialize()
     _check_platform()
 
 

@@ -13,12 +13,11 @@ from places import ROOT
 from refusals import refused
 
 import cddf_jax as cddf
-from cddf_jax import figures
-from cddf_jax.cli import design as design_command
 from cddf_jax.designing.task_file import KEYS, read_task
 from cddf_jax.estimation.determination import IDENTIFIED
+from cddf_jax.figures import style
 from cddf_jax.figures.designs import design_figure, draw_design, draw_trade_off
-from cddf_jax.files.writing import write_all
+from cddf_jax.reports.design_report import design_report
 
 PAPER = ROOT / "data" / "smooth_sil_940.toml"
 TASK = f"""
@@ -222,17 +221,18 @@ value = "30 deg"
 @pytest.mark.slow
 def test_a_body_without_radii_is_designed_and_drawn(task, tmp_path, monkeypatch):
     """The angle is ln(1 + mu T d L / (E I)) / mu, design.md section 4; profile and diameters are not known."""
-    kept, drawn = [], figures.render
+    kept, drawn = [], style.render
 
     def keeping(figure, name):
         kept.append(figure)
         return drawn(figure, name)
 
-    monkeypatch.setattr(figures, "render", keeping)
+    monkeypatch.setattr(style, "render", keeping)
     (tmp_path / "backbone.toml").write_text(BACKBONE)
-    *_, success, files = design_command.designed(read_task(task(BEND)))
-    assert success
-    write_all(tmp_path / "out", files())
+    read = read_task(task(BEND))
+    found = read.design()
+    assert found.success
+    design_report(read, found).write(tmp_path / "out")
     written = {path.name for path in (tmp_path / "out").iterdir()}
     assert written == {"design.md", "design.json", "design.toml", "design.pdf", "design.png"}
     stiffness = cddf.read_manipulator(tmp_path / "out" / "design.toml").stiffness(0.1)

@@ -8,11 +8,10 @@ from bodies import paper_body
 from places import DATA
 
 import cddf_jax as cddf
-from cddf_jax.cli.design import designed
 from cddf_jax.designing.task_file import read_task
 from cddf_jax.errors import InputError
 from cddf_jax.files.manipulator_file import read_robot_file, write_manipulator
-from cddf_jax.files.writing import write_all
+from cddf_jax.reports.design_report import design_report
 
 DOWN = (0.0, -9.81)
 NOTE = "note: gravity (0, -9.81) m/s^2, of the robot file\n"
@@ -156,7 +155,7 @@ def test_the_data_of_uncertain_numbers_were_measured_under_it(mounted, monkeypat
 
 @pytest.mark.slow
 def test_the_file_of_a_design_keeps_it(task, tmp_path):
-    write_all(tmp_path, designed(task)[-1]())
+    design_report(task, task.design()).write(tmp_path)
     assert read_robot_file(tmp_path / "design.toml").gravity == DOWN
 
 

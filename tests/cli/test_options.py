@@ -6,7 +6,7 @@ from bodies import paper_body
 from refusals import refused
 
 import cddf_jax as cddf
-from cddf_jax.cli.fit_options import read_before, read_bounds, read_leave_out, read_noise, read_priors, read_setting
+from cddf_jax.cli.fit_options import read_before, read_leave_out, read_noise, read_priors, read_setting
 from cddf_jax.cli.options import read_data
 from cddf_jax.errors import InputError
 from cddf_jax.estimation.observations import Noise
@@ -223,18 +223,16 @@ def test_wrong_loads(option, text, message):
     assert refused(read_loads, *texts).startswith(f"{option} {message.lstrip()}")
 
 
-# --- priors, noise, bounds, columns ----------------------------------------------------------------
+# --- priors, noise, columns ------------------------------------------------------------------------
 
 
-def test_priors_noise_and_bounds():
+def test_priors_and_noise():
     for sign in ("+-", "±"):
         assert read_priors([f"youngs_modulus = 1.4 MPa {sign} 100 kPa"]) == {"youngs_modulus": Prior(1.4e6, 1e5)}
     assert read_priors(["friction_coefficient = uniform 0.1 .. 0.6"]) == {"friction_coefficient": Uniform(0.1, 0.6)}
     assert read_noise(["tip_tension=0.0005 kN"]) == {"tip_tension": 0.5}
     assert read_noise(["tip_tension=0.2 N + 1 %"]) == {"tip_tension": Noise(0.2, 0.01)}
     assert read_noise(["tip_tension=1 %"]) == {"tip_tension": Noise(0.0, 0.01)}
-    assert read_bounds(["pretension=0 N:2 N"]) == {"pretension": (0.0, 2.0)}
-    assert read_bounds(["friction_coefficient=0.2:"]) == {"friction_coefficient": (0.2, None)}
 
 
 def of_marker(texts):
@@ -282,10 +280,6 @@ def test_the_setting_of_a_bench():
         (read_noise, "tip_angle=1 N", "--noise tip_angle needs a unit of angle, got '1 N'"),
         (read_noise, "tip_tension=0.1 N + 0.2 N", "--noise tip_tension: the part that grows with the reading is in %"),
         (read_noise, "tip_tension=0.1 N + x %", "--noise tip_tension is not a number, got 'x'"),
-        (read_bounds, "friction_coefficient", "--bound 'friction_coefficient': write for example "),
-        (read_bounds, "friction_coefficient=:", "--bound friction_coefficient: write for example "),
-        (read_bounds, "mu=0:1", "'mu' is not a parameter that can be fitted"),
-        (read_bounds, "youngs_modulus=1:2 MPa", "--bound youngs_modulus needs a unit of pressure, got '1'"),
     ],
 )
 def test_what_a_fit_cannot_read(read, text, message):

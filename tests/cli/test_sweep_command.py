@@ -160,7 +160,7 @@ def test_targets_samples_and_options(run):
     """Capstan law: T_tip = T exp(-mu angle), whatever the body, in the exact kinematics."""
     sample = ("--sample", "youngs_modulus=1.2MPa:1.6MPa", "--sample", "friction_coefficient=0.1:0.6", "--samples", 4)
     target = ("-t", "tip_angle=45 deg", "--over", "base_tension.value=10deg:60deg:2", "--over", "kinematics=exact")
-    options = ("--sampler", "sobol", "--seed", 3, "--nodes", 8)
+    options = ("--seed", 3, "--nodes", 8)
     outputs = ("--output", "tip_tension, base_tension,tip_angle", "--out", "out")
     code, text, error = run(PAPER, *target, *sample, *options, *outputs, "--json")
     assert (code, error) == (0, "")
@@ -169,7 +169,7 @@ def test_targets_samples_and_options(run):
     ratio = (answer["tip_tension"] / answer["base_tension"]).isel(tendon=0)
     np.testing.assert_allclose(ratio, np.exp(-friction * answer["tip_angle"]).transpose(*ratio.dims), rtol=1e-7)
     np.testing.assert_allclose(answer["tip_angle"].isel(sample=0), np.radians([10.0, 60.0]), rtol=1e-8)
-    expected = cddf.sobol({"youngs_modulus": (1.2e6, 1.6e6), "friction_coefficient": (0.1, 0.6)}, 4, 3)
+    expected = cddf.latin_hypercube({"youngs_modulus": (1.2e6, 1.6e6), "friction_coefficient": (0.1, 0.6)}, 4, 3)
     np.testing.assert_array_equal(friction, expected["friction_coefficient"])
     axes = {axis["name"]: axis for axis in json.loads(text)["axes"]}
     assert (axes["youngs_modulus"]["dimension"], axes["youngs_modulus"]["count"]) == ("sample", 4)
@@ -197,20 +197,6 @@ def test_two_tendons_in_a_table(tmp_path):
     ]
 
 
-@pytest.mark.slow
-def test_sensitivities(run):
-    """dT_tip/dE = T_tip^2 mu G / E^2 from the closed form T / (1 + mu T G / E)."""
-    options = ("--sensitivity", "youngs_modulus", "--output", "tip_tension", "--csv", "x.csv")
-    code, text, error = run(PAPER, *TENSIONS, *options, "--out", "x.zarr", "--json")
-    assert (code, error) == (0, "")
-    name = "tip_tension_by_youngs_modulus"
-    rows = rows_of("x.csv")
-    assert list(rows[0]) == ["base_tension [N]", "tip_tension [N]", f"{name} [N/Pa]", "result"]
-    expected = [0.42 * G / 1.4e6**2 * tip_tension(tension, 0.42) ** 2 for tension in np.linspace(5.0, 85.0, 5)]
-    np.testing.assert_allclose([float(row[f"{name} [N/Pa]"]) for row in rows], expected, rtol=1e-8)
-    assert json.loads(text)["outputs"][name]["max"] == [pytest.approx(max(expected))]
-
-
 def test_no_success_at_all(run, tmp_path):
     code, text, error = run(PAPER, "--over", "base_tension=-5N,-6N", "--out", "x.zarr")
     assert code == 1
@@ -225,7 +211,6 @@ def test_no_success_at_all(run, tmp_path):
 TASK = """
 robot = "{robot}"
 output = "tip_tension"
-sensitivity = ["youngs_modulus"]
 chunk = 8
 dry_run = true
 
@@ -246,7 +231,7 @@ def test_a_task_file_gives_the_options_and_the_command_line_overrides_it(run, tm
     assert [(axis["name"], axis["count"]) for axis in told["axes"]] == [
         *(("base_tension", 5), ("kinematics", 2), ("youngs_modulus", 3)),
     ]
-    assert told["outputs"] == ["tip_tension", "tip_tension_by_youngs_modulus"]
+    assert told["outputs"] == ["tip_tension"]
     assert told["chunks"]["solves"] <= 7
 
 
@@ -401,11 +386,6 @@ def test_samples_are_those_of_the_library():
         np.testing.assert_array_equal(axis.numbers[name], values)
 
 
-@pytest.mark.parametrize(("text", "count"), [("2 GB", 2e9), ("500MB", 5e8), (".5 kB", 500.0), ("1 GiB", 2.0**30)])
-def test_memory(text, count):
-    assert sweep_options.read_memory(text) == count
-
-
 def test_where_things_go():
     assert sweep_report.read_places(Path("a/b.zarr"), None, None).store == Path("a/b.zarr")
     assert sweep_report.read_places(Path("a"), None, None).store == Path("a/sweep.zarr")
@@ -452,16 +432,8 @@ WRONG = [
         "samples: the range of 'youngs_modulus' must be ",
     ),
     ((*TENSIONS, "--samples", "4", "--sample", "nodes=8:16"), "--sample nodes: only numbers have a range"),
-    ((*TENSIONS, "--sampler", "dice"), "Invalid value for '--sampler'"),
     ((*TENSIONS, "--output", "tip_tention"), "sweep: 'tip_tention' is not an output"),
-    ((*TENSIONS, "--precision", "float16"), "Invalid value for '--precision'"),
-    ((*TENSIONS, "--memory", "2"), "--memory '2': write a number above 0 and one of B, kB"),
-    ((*TENSIONS, "--memory", "60 B"), "sweep: one solve needs "),
     (("--over", "base_tension=1N:2N:1000000000000"), "--over base_tension: 1000000000000 values are more than"),
-    (
-        (*TENSIONS, "--memory", "200 B", "--netcdf", "x.nc"),
-        "--netcdf x.nc: takes 340 bytes of memory, 200 bytes are allowed",
-    ),
     ((*TENSIONS, "--chunk", "0"), "Invalid value for '--chunk'"),
     ((*TENSIONS, "--nodes", "3"), "Invalid value for '--nodes'"),
     ((*TENSIONS, "--direction", "2"), "--direction 2: give +1"),
@@ -470,7 +442,6 @@ WRONG = [
     ((*TENSIONS, "--csv", "."), "--csv .: is a folder; give the name of a file"),
     ((*TENSIONS, "--csv", "x", "--netcdf", "x"), "--netcdf and --csv are both x"),
     ((*TENSIONS, "--csv", "x.csv", "--output", "tension"), "--csv x.csv: a table takes no outputs along the body"),
-    ((*TENSIONS, "--coordinator", "node1:1234"), "--coordinator, --num-processes and --process-id belong together"),
 ]
 
 
@@ -601,20 +572,6 @@ def test_loops_of_a_pair_are_those_of_its_traces(run, pair_file):
 # --- processes -----------------------------------------------------------------------------------
 
 
-def test_processes_as_they_are_given():
-    assert sweep_options.read_processes(None, None, None, distributed=False) is None
-    assert sweep_options.read_processes(None, None, None, distributed=True) == {}
-    told = {"coordinator_address": "node1:1234", "num_processes": 4, "process_id": 3}
-    assert sweep_options.read_processes("node1:1234", 4, 3, distributed=False) == told
-    for arguments, message in (
-        (("node1", 4, 3), "write host and port as in 'node1:1234'"),
-        (("node1:1234", 4, 4), "--process-id 4: 4 processes are 0 to 3"),
-        ((None, 4, None), "belong together"),
-    ):
-        with pytest.raises(cddf.InputError, match=message):
-            sweep_options.read_processes(*arguments, distributed=False)
-
-
 @pytest.mark.slow
 def test_all_cores():
     """As a process of its own has them; what the user sets for the devices holds."""
@@ -632,7 +589,7 @@ def test_all_cores():
 def test_help_names_the_options(run):
     code, text, _ = run("--help")
     assert code == 0
-    assert all(option in text for option in ("--over", "--sample", "--dry-run", "--coordinator", "--netcdf"))
+    assert all(option in text for option in ("--over", "--sample", "--dry-run", "--distributed", "--netcdf"))
 
 
 @pytest.mark.slow

@@ -176,7 +176,8 @@ def test_the_figure_of_a_design_in_space():
     ends = np.array([[line.get_ydata()[[0, -1]] for line in axes.lines] for axes in (angle, offset)])
     turned, moved = [[0.0, 360.0], [180.0, 540.0]], [[7.0, 7.0], [9.0, 9.0]]
     np.testing.assert_allclose(ends, [turned * 2, [*moved, [7.0, 7.0], [7.0, 7.0]]], rtol=1e-5)
-    assert [text.get_text() for text in offset.texts] == ["1, 2"]  # they end in one place
+    assert [text.get_text() for text in angle.texts] == ["1", "2"] * 2
+    assert [text.get_text() for text in offset.texts] == ["1", "2", "1, 2"]  # after the search they end in one place
     assert np.max(np.abs(bending.lines[1].get_ydata())) < 1e-3 < np.max(bending.lines[0].get_ydata())
     assert np.all(twist.lines[1].get_ydata() < 0)  # the winding tendons unwind
     with pytest.raises(cddf.InputError, match="projection"):

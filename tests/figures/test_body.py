@@ -64,7 +64,8 @@ def arrows(figure):
 
 def marks(figure):
     """What the legend shows of each load: the way in which its arrow points, by what is said."""
-    handles, said = shape_of(figure).get_legend_handles_labels()
+    legend = shape_of(figure).get_legend()
+    handles, said = legend.legend_handles, [text.get_text() for text in legend.get_texts()]
     turns = [handle._marker.get_transform() for handle in handles]
     points = [turn.transform([1.0, 0.0]) - turn.transform([0.0, 0.0]) for turn in turns]
     return {text: point / np.linalg.norm(point) for text, point in zip(said, points, strict=True)}

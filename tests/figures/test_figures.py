@@ -20,8 +20,6 @@ from refusals import refused
 
 import cddf_jax as cddf
 from cddf_jax import figures
-from cddf_jax.files.cross_sections import SectionColumn
-from cddf_jax.robot.profiles import Constant
 
 TENSIONS, FRICTIONS = np.linspace(10.0, 50.0, 5), np.array([0.2, 0.4, 0.6])
 LOCKED = cddf.Status.locked
@@ -76,7 +74,6 @@ def grid():
     )
 
 
-TABLE = SectionColumn("outer_radius", np.array([0.0, 0.07, 0.14]), np.full(3, 0.02), Constant(0.02), "constant", "")
 DRAWN = {
     "shape": lambda it, axes: figures.draw_shape(PAIR, it("bent"), axes=axes),
     "force_arrows": lambda it, axes: figures.draw_force_arrows(PAIR, it("bent"), axes),
@@ -84,7 +81,6 @@ DRAWN = {
     "fit": lambda it, axes: figures.draw_fit(it("fit"), column="tip_angle", axes=axes),
     "residuals": lambda it, axes: figures.draw_residuals(it("fit"), column="tip_angle", axes=axes),
     "profile": lambda it, axes: figures.draw_profile(it("fit"), it("profile"), axes),
-    "correlation": lambda it, axes: figures.draw_correlation(it("fit"), axes),
     "lines": lambda it, axes: figures.draw_lines(it("grid").sel(tendon=0), "tip_tension", "base_tension", axes),
     "map": lambda it, axes: figures.draw_map(
         it("grid").sel(tendon=0), "tip_tension", "base_tension", "friction_coefficient", axes
@@ -92,7 +88,6 @@ DRAWN = {
     "loop": lambda it, axes: figures.draw_loop(it("history"), "tip_angle", axes),
     "history_along": lambda it, axes: figures.draw_history_along(ONE, it("history"), "tension", axes),
     "energy": lambda it, axes: figures.draw_energy(it("history"), axes),
-    "section_column": lambda it, axes: figures.draw_section_column(TABLE, axes),
 }
 
 
@@ -255,7 +250,7 @@ def test_a_map_either_way_round(grid):
 @pytest.mark.parametrize(
     ("draw", "message"),
     [
-        (lambda it: figures.draw_along(PAIR, it("bent"), "stress"), "draw_along: quantity must be one of tension, "),
+        (lambda it: figures.draw_along(PAIR, it("bent"), "stress"), "figures: quantity must be one of tension, "),
         (lambda it: figures.draw_fit(it("fit")), "draw_fit: column must be one of tip_tension, tip_angle; got None"),
         (lambda it: figures.draw_fit(it("fit"), "x.csv"), "draw_fit: table must be one of tip_angle_simulated.csv"),
         (lambda it: figures.draw_residuals(it("fit"), column="tip_x"), "draw_residuals: column must be one of"),
@@ -320,15 +315,6 @@ def test_the_suffix_decides(tmp_path, suffix, start):
     assert figures.save(a_figure(), path).read_bytes() == content  # the same bytes for the same figure
     if suffix == "png":
         assert imread(path).shape[:2] == (600, 1050)  # 2 by 3.5 inches of 300 dots
-
-
-def test_a_text_that_is_no_formula_is_drawn_as_it_is():
-    """Matplotlib takes what stands between two dollar signs for TeX, and "x_{" is none."""
-    figure = a_figure()
-    title = figure.axes[0].set_title("run$x_{$.csv")
-    figures.render(figure, "picture")
-    assert not title.get_parse_math()
-    assert figure.axes[0].xaxis.label.get_parse_math()
 
 
 def test_another_suffix_is_refused(tmp_path):

@@ -10,8 +10,7 @@ from matplotlib.patches import Rectangle
 import cddf_jax as cddf
 from cddf_jax.errors import InputError
 from cddf_jax.figures.style import render
-from cddf_jax.figures.sweep_labels import name_in_words
-from cddf_jax.figures.sweeps import draw_lines, draw_map, left_out_of_figure, sweep_figure
+from cddf_jax.figures.sweeps import draw_lines, draw_map, name_in_words, sweep_figure
 
 CROSSING, LOCKED = cddf.Status.crossing, cddf.Status.locked
 TENSIONS = np.linspace(10.0, 50.0, 5)
@@ -42,9 +41,8 @@ def answer_over(axes, *, tendons=1, together=None):
     )
 
 
-def drawn(answer, outputs=("tip_tension", "tip_angle"), varied=None):
-    names = varied or [name for name in answer.coords if name not in ("tendon", "component")]
-    return sweep_figure(answer, outputs, {name: name_in_words(name) for name in names})
+def drawn(answer, outputs=("tip_tension", "tip_angle")):
+    return sweep_figure(answer, outputs)
 
 
 def legend_of(figure):
@@ -103,6 +101,10 @@ def test_yes_and_no():
     axes = drawn(answer, ["stable"]).axes[0]
     assert [text.get_text() for text in axes.get_yticklabels()] == ["no", "yes"]
     assert axes.lines[0].get_ydata().tolist() == [1, 1, 1, 1, 0]
+    answer["result"][4], answer["tip_angle"][4] = LOCKED, np.nan  # failed: neither yes nor no
+    line, failed = drawn(answer, ["stable"]).axes[0].lines
+    np.testing.assert_array_equal(line.get_ydata(), [1, 1, 1, 1, np.nan])
+    assert failed.get_xdata().tolist() == [50.0]
 
 
 # --- contours ------------------------------------------------------------------------------------
@@ -138,25 +140,6 @@ def test_no_hatching_where_all_is_well():
     assert not figure.legends
 
 
-def test_options_beside_each_other_on_one_scale():
-    kinematics = np.array(["published", "exact"])
-    answer = answer_over({"base_tension": TENSIONS, "kinematics": kinematics, "friction_coefficient": FRICTIONS})
-    figure = drawn(answer)
-    panels, bars = figure.axes[:4], figure.axes[4:]
-    assert [axes.get_title() for axes in panels] == ["published kinematics", "exact kinematics", "", ""]
-    assert [axes.get_ylabel() for axes in bars] == ["Tip tension (N)", "Tip angle (deg)"]
-    for left, right in (panels[:2], panels[2:]):
-        np.testing.assert_array_equal(contours(left)[0].levels, contours(right)[0].levels)
-
-
-def test_a_third_axis_is_sliced():
-    answer = answer_over({"youngs_modulus": MODULI, "base_tension": TENSIONS, "friction_coefficient": FRICTIONS})
-    figure = drawn(answer, ["tip_tension"])
-    titles = [axes.get_title() for axes in figure.axes[:4]]
-    assert titles == [f"Young's modulus = {value} MPa" for value in ("1.2", "1.333", "1.467", "1.6")]
-    assert figure.axes[0].get_xlabel() == "Base tension (N)"
-
-
 @pytest.mark.parametrize("value", [0.0, 45.0, np.nan])
 def test_an_output_that_does_not_change(value):
     answer = answer_over({"base_tension": TENSIONS, "youngs_modulus": MODULI})
@@ -167,59 +150,21 @@ def test_an_output_that_does_not_change(value):
     assert figure.axes[1].get_ylabel() == "Tip angle (deg)"
 
 
-# --- dots ----------------------------------------------------------------------------------------
-
-
-def test_samples_as_dots():
-    rng = np.random.default_rng(0)
-    together = {"youngs_modulus": 1e6 * rng.random(40), "friction_coefficient": rng.random(40)}
-    answer = answer_over({"sample": np.arange(40), "base_tension": TENSIONS[:2]}, together=together)
-    answer["result"][0] = CROSSING
-    order = ["youngs_modulus", "friction_coefficient", "base_tension"]
-    figure = drawn(answer, varied=order)
-    panels = np.reshape(figure.axes, (2, 3))
-    assert [axes.get_xlabel() for axes in panels[1]] == [
-        *("Young's modulus (MPa)", "Friction coefficient", "Base tension (N)"),
-    ]
-    assert [axes.get_ylabel() for axes in panels[:, 0]] == ["Tip tension (N)", "Tip angle (deg)"]
-    dots, doubtful = panels[0, 0].lines
-    assert dots.get_linestyle() == "None"
-    np.testing.assert_allclose(dots.get_xdata()[2:], np.repeat(1e-6 * together["youngs_modulus"], 2)[2:])
-    expected = 100.0 * (np.arange(40)[:, None] + [0, 1]).ravel()
-    np.testing.assert_allclose(dots.get_ydata(), [np.nan, np.nan, *expected[2:]])
-    np.testing.assert_allclose(doubtful.get_ydata(), [0.0, 100.0])
-
-
-def test_no_more_dots_than_can_be_seen():
-    together = {"youngs_modulus": np.linspace(1e6, 2e6, 100_000)}
-    answer = answer_over({"sample": np.arange(100_000)}, together=together)
-    (dots,) = drawn(answer, ["tip_angle"]).axes[0].lines
-    assert 1000 <= len(dots.get_xdata()) <= 5000
-    assert dots.get_xdata()[[0, -1]].tolist() == pytest.approx([1.0, 2.0])
-
-
 # --- none ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("axes", "outputs", "reason"),
+    ("axes", "reason"),
     [
-        ({"kinematics": np.array(["published", "exact"])}, ["tip_angle"], "no number varies"),
-        ({"base_tension": TENSIONS}, ["curvature"], "outputs along the body are not drawn over what varies"),
-        (
-            {"a": TENSIONS, "b": TENSIONS, "c": TENSIONS, "d": TENSIONS},
-            ["tip_angle"],
-            "4 axes are too many for one; choose with xarray",
-        ),
-        (
-            {"a": TENSIONS, "b": TENSIONS, "c": TENSIONS, "nodes": np.array([8, 16])},
-            ["tip_angle"],
-            "3 axes and options are too many for one; choose with xarray",
-        ),
+        ({"kinematics": np.array(["published", "exact"])}, "no number varies along an axis of its own"),
+        (dict.fromkeys("abcd", TENSIONS), "4 axes are too many for one figure; choose with xarray"),
+        ({"a": TENSIONS, "b": TENSIONS, "nodes": np.array([8, 16])}, "3 axes are too many for one figure; choose with"),
+        ({"a": TENSIONS, "nodes": np.arange(4, 12)}, "draw_lines: nodes varies too, with 8 values; choose one"),
     ],
 )
-def test_no_figure_and_why(axes, outputs, reason):
-    assert drawn(answer_over(axes), outputs) == reason
+def test_no_figure_and_why(axes, reason):
+    with pytest.raises(InputError, match=f"^{reason}"):
+        drawn(answer_over(axes), ["tip_angle"])
 
 
 def test_one_value_is_no_axis():
@@ -238,35 +183,11 @@ def test_one_value_is_no_axis():
         ("loads.tip_force.1", "Tip force Y"),
         ("loads.tip_moment", "Tip moment"),
         ("base_tension_2", "Base tension 2"),
+        ("base_tension.value", "Base tension target"),
     ],
 )
 def test_names_in_words(name, words):
     assert name_in_words(name) == words
-
-
-@pytest.mark.parametrize(
-    ("axes", "outputs", "expected"),
-    [
-        ({"base_tension": 5, "friction_coefficient": 4}, ["tip_angle"], []),
-        ({"base_tension": 5}, ["tip_angle", "curvature"], ["curvature, which runs along the body"]),
-        ({"base_tension": 5, "nodes": 8}, ["tip_angle"], ["2 of 8 combinations of options"]),
-        ({"length": 6, "base_tension": 5, "friction_coefficient": 4}, ["tip_angle"], ["2 of 6 values of length"]),
-    ],
-)
-def test_what_has_no_room_is_said(axes, outputs, expected):
-    """Six combinations along lines, four slices of a third axis: counted by hand."""
-    dims = tuple(axes)
-    sizes = tuple(axes.values())
-    data = {
-        name: (
-            (*dims, "point") if name == "curvature" else dims,
-            np.zeros((*sizes, 3) if name == "curvature" else sizes),
-        )
-        for name in outputs
-    }
-    data["result"] = (dims, np.zeros(sizes, np.int8))
-    answer = xarray.Dataset(data, {name: np.arange(size) for name, size in axes.items()})
-    assert left_out_of_figure(answer, outputs) == expected
 
 
 # --- a path of base tensions ---------------------------------------------------------------------
@@ -289,7 +210,6 @@ def test_a_path_is_drawn_in_its_order():
     arrows = [text.xy for text in angle.texts if text.arrowprops]
     assert len(arrows) == 9  # for each of three loops: up to 75 N, back to 40 N, up again
     assert legend_of(figure) == [f"Friction coefficient = {mu:.4g}" for mu in FRICTIONS[:3]]
-    assert left_out_of_figure(answer, ("tip_tension",)) == []
 
 
 def test_a_path_of_two_tensions_is_drawn_over_the_one_that_varies():
@@ -303,12 +223,6 @@ def test_a_path_of_two_tensions_is_drawn_over_the_one_that_varies():
         np.testing.assert_array_equal(axes.lines[0].get_xdata(), PATH)
     with pytest.raises(InputError, match="draw_map: base_tension_1 is a path"):
         draw_map(answer, "tip_angle", "base_tension_1", "friction_coefficient")
-
-
-def test_loops_for_which_there_is_no_room():
-    answer = loops_over({"friction_coefficient": FRICTIONS, "youngs_modulus": MODULI})
-    assert len(drawn(answer, ("tip_angle",)).axes[0].lines) == 6
-    assert left_out_of_figure(answer, ("tip_angle",)) == ["36 of 42 loops"]
 
 
 def test_a_path_is_no_map():

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from bodies import paper_body
 from hypothesis import given, strategies as st
-from matplotlib.figure import Figure
 from scipy.integrate import quad
 from scipy.interpolate import CubicSpline, make_lsq_spline
 
@@ -229,7 +228,7 @@ def test_the_picture_shows_the_points_and_both_sides_of_a_step(tmp_path):
     path = tmp_path / "body.csv"
     path.write_text(STEPS)
     columns = cddf.section_columns(path)
-    axes = figures.draw_section_column(columns[0], Figure().subplots())
+    axes = figures.sections_figure(columns).axes[0]
     curve, points = axes.lines
     np.testing.assert_allclose(points.get_xdata(), [0, 60, 60, 130, 130, 200])
     np.testing.assert_allclose(points.get_ydata(), [2, 2, 1.8, 1.8, 1.6, 1.6])

@@ -10,7 +10,7 @@ from cddf_jax.identification.bench import BenchModel, experiment_of, groups_of
 from cddf_jax.identification.fit import noise_of
 from cddf_jax.measurements.holds import average_holds, hold_labels, serial_correlation
 from cddf_jax.measurements.table import Measurements
-from cddf_jax.reports import fit_report as report, fit_results
+from cddf_jax.reports import fit_report as report
 
 LEVELS = np.arange(10.0, 81.0, 10.0)
 
@@ -174,11 +174,11 @@ def test_a_fit_reports_holds():
     found = [fit.serial_correlation["drum: pulling_tension"] for fit in fits]
     assert [one.num_holds for one in found] == [5, 5]
     assert [one.alarming for one in found] == [True, False]
-    made = [fit_results.make_report(fit, with_profiles=False) for fit in fits]
+    made = [report.make_report(fit, with_profiles=False) for fit in fits]
     heads = [report.fit_as_markdown(one).partition("| parameter")[0] for one in made]
     told = f"150 in 5 holds count as about {found[0].num_effective:.0f} independent ones: standard errors are too small"
     assert [told in head for head in heads] == [True, False]
-    results = fit_results.fit_as_dict(made[0])["serial_correlation"]["drum: pulling_tension"]
+    results = report.fit_as_dict(made[0])["serial_correlation"]["drum: pulling_tension"]
     assert results.num_effective == found[0].num_effective
     # of equal holds the weighted means are the same to first order, and the standard error is that of five readings
     assert fits[1].value["friction_coefficient"] == pytest.approx(fits[0].value["friction_coefficient"], rel=1e-3)

@@ -1,8 +1,7 @@
 """`cddf design`: the body that meets an objective best, from a task in a file."""
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -10,13 +9,7 @@ from ..errors import InputError
 from ..progress import stage
 from . import options
 
-if TYPE_CHECKING:
-    from ..designing.results import Design
-    from ..designing.task_file import DesignTask
-
 EXAMPLE = "Example: cddf design fitting/design_least_tension.toml --out out/design"
-Files = dict[str, str | bytes]  # content by name
-Answer = tuple[dict[str, object], str, bool, Callable[[], Files]]  # for JSON, in words, whether it succeeded, its files
 
 
 def design(
@@ -50,68 +43,16 @@ def design(
     with stage("loading"):
         application.configure_jax()
         from ..designing.task_file import read_task
+        from ..reports.design_report import design_report, trade_off_report
 
     read = read_task(task)
     options.note(read.read_as)
-    answer, text, success, files = designed(read) if pareto is None else trade_off(read, pareto)
-    with options.printed(lambda: text, answer, as_json=as_json):
-        if out is not None:
-            from ..files.writing import write_all
-
-            write_all(out, files())
-    if not success:
-        options.stop(f"the design is not done: {answer['result']}", options.FAILED)
-
-
-def designed(task: "DesignTask") -> Answer:
-    """Design; the files hold the new manipulator only where it keeps to all limits."""
-    from ..designing import report
-
-    found = task.design()
-    answer, text = report.design_as_dict(found), report.design_in_words(found)
-
-    def files() -> Files:
-        from ..figures import design_figure, render
-        from ..files.cross_sections import cross_sections_csv
-        from ..files.writing import as_json
-
-        made: Files = {"design.md": text + "\n", "design.json": as_json(answer)}
-        if found.feasible:
-            made["design.toml"] = _manipulator_file(found, task)
-            if found.manipulator.has_radii:
-                made["profile.csv"] = cross_sections_csv(found.manipulator)
-            made |= render(design_figure(found), "design")
-        return made
-
-    return answer, text, found.success, files
-
-
-def trade_off(task: "DesignTask", num: int) -> Answer:
-    """As `designed`, for the trade-off between the two objectives."""
-    from ..designing import report
-
-    if task.choices or task.options.starts > 1 or any(weight != 1 for weight, _ in task.objective):
+    if pareto is None:
+        report = design_report(read, read.design())
+    elif read.choices or read.options.starts > 1 or any(weight != 1 for weight, _ in read.objective):
         raise InputError(
             "--pareto: choices, starts and weights have no place in a trade-off; take them out of the task"
         )
-    front = task.pareto_front(num)
-    answer, text = report.front_as_dict(front), report.front_in_words(front)
-
-    def files() -> Files:
-        from ..figures import draw_trade_off, render
-        from ..figures.style import figure_of
-        from ..files.writing import as_json
-
-        made: Files = {"pareto.md": text + "\n", "pareto.json": as_json(answer)}
-        feasible = {i: found for i, found in enumerate(front.designs, 1) if found.feasible}
-        made |= {f"design_{i}.toml": _manipulator_file(found, task) for i, found in feasible.items()}
-        return made | render(figure_of(draw_trade_off(front)), "pareto")
-
-    return answer, text, front.success, files
-
-
-def _manipulator_file(found: "Design", task: "DesignTask") -> str:
-    from ..files.manipulator_file import manipulator_text
-
-    outside = task.options.offsets_outside_wall
-    return manipulator_text(found.manipulator, offsets_outside_wall=outside, gravity=task.gravity)
+    else:
+        report = trade_off_report(read, read.pareto_front(pareto))
+    options.give(report, out, as_json=as_json)

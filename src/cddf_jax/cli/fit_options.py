@@ -1,16 +1,11 @@
-"""The texts that `cddf fit` and `cddf plan` read: priors, bounds, noise, the bench, and candidates of measurements."""
+"""The texts that `cddf fit` and `cddf plan` read: priors, noise, and the bench."""
 
 import re
 from collections.abc import Sequence
-from pathlib import Path
 
-import numpy as np
-
-from ..errors import InputError, in_utf8, within
+from ..errors import InputError
 from ..estimation.observations import Noise
 from ..estimation.parameter_space import Prior, Uniform
-from ..files.manipulator_file import read_toml
-from ..identification.experiment_design import Candidate
 from ..identification.parameters import BenchSetting, parameter_named
 from ..identification.tension_before import REST, Before, One
 from ..measurements.columns import column_dimension
@@ -20,7 +15,6 @@ from ..units import quantity, vector
 from .options import read_all
 
 PRIOR = '"youngs_modulus=1.4 MPa +- 0.1 MPa" or "friction_coefficient=0.1..0.6"'
-BOUND = '"pretension=0 N:2 N"'
 GIVEN = '"tip_gain=1.03" or "camera_turn_z=3 deg"'
 LEAVE_OUT = '"run_2.csv=8, 14"'
 MARKER = '"head=0, 11, 0 mm at 80 mm"'
@@ -39,19 +33,6 @@ def _prior(name: str, text: str) -> Prior | Uniform:
     if not found:
         raise InputError(f"--prior {name}: write for example {PRIOR}, got {text!r}")
     return kind(*(_of_parameter(name, part, "--prior") for part in (first, second)))
-
-
-def read_bounds(texts: Sequence[str] | None) -> dict[str, tuple[float | None, float | None]]:
-    """ "pretension=0 N:2 N"; either side may be left empty."""
-    return read_all(texts, "--bound", BOUND, _bound)
-
-
-def _bound(name: str, text: str) -> tuple[float | None, float | None]:
-    low, colon, high = (part.strip() for part in text.partition(":"))
-    if not colon or not (low or high):
-        raise InputError(f"--bound {name}: write for example {BOUND}, got {text!r}")
-    lower, upper = (_of_parameter(name, end, "--bound") if end else None for end in (low, high))
-    return lower, upper
 
 
 def _of_parameter(name: str, text: str, option: str) -> float:
@@ -93,11 +74,11 @@ def _marker(name: str, text: str) -> Marker:
 
 def read_noise(texts: Sequence[str] | None) -> dict[str, float | Noise]:
     """ "tip_tension=0.5 N", or with a part that grows with the reading "tip_tension=0.2 N + 1 %"."""
-    return read_all(texts, "--noise", NOISE, lambda column, text: noise_from_text(column, text, f"--noise {column}"))
+    return read_all(texts, "--noise", NOISE, _noise)
 
 
-def noise_from_text(column: str, numbers: str, what: str) -> float | Noise:
-    """ "0.5 N", or with a part that grows with the reading "0.2 N + 1 %"."""
+def _noise(column: str, numbers: str) -> float | Noise:
+    what = f"--noise {column}"
     dimension = column_dimension(column) or "dimensionless"
     floor, *shares = re.split(r"\s\+\s*", numbers, maxsplit=1)
     if not shares and not floor.endswith("%"):
@@ -107,50 +88,3 @@ def noise_from_text(column: str, numbers: str, what: str) -> float | Noise:
         raise InputError(f'{what}: the part that grows with the reading is in %, got {share!r}; write "0.2 N + 1 %"')
     fraction = quantity(share[:-1].strip(), "dimensionless", what) / 100
     return Noise(quantity(floor, dimension, what) if floor else 0.0, fraction)
-
-
-# --- experiments that could be done next ----------------------------------------------------------
-
-
-def read_candidates(path: Path) -> list[Candidate]:
-    """Candidates from a TOML file.
-
-        [[candidate]]
-        name = "tip angles"
-        base_tension = ["20 N", "40 N", "60 N"]
-        noise = { tip_angle = "1 deg", tip_tension = "0.5 N" }
-        repeats = 3
-        cost = 2.0
-
-    Raises:
-        InputError: names the file, the candidate and the remedy.
-    """
-    with within(path):
-        content = read_toml(path, 'base_tension = "20 N"')
-        entries, found = content.get("candidate"), []
-        if not isinstance(entries, list) or not entries or set(content) != {"candidate"}:
-            raise InputError("holds no candidates; write one [[candidate]] table for each, and nothing else")
-        for i, entry in enumerate(entries, 1):
-            with within(f"candidate {i}"):
-                found.append(_candidate({"name": f"{in_utf8(path)}, candidate {i}"} | entry))
-        return found
-
-
-def _candidate(entry: dict[str, object]) -> Candidate:
-    name, noise = str(entry.pop("name")), entry.pop("noise", None)
-    repeats, cost = entry.pop("repeats", 1), quantity(entry.pop("cost", 1.0), "dimensionless", "cost")
-    if not isinstance(noise, dict):
-        raise InputError('needs what is read, as in noise = { tip_tension = "0.5 N" }')
-    if isinstance(repeats, bool) or not isinstance(repeats, int):
-        raise InputError(f"repeats must be a whole number, got {repeats!r}")
-    conditions = {column: _numbers(column, value) for column, value in entry.items()}
-    deviations = {column: noise_from_text(column, str(value), column) for column, value in noise.items()}
-    return Candidate(name, conditions, deviations, repeats, cost)
-
-
-def _numbers(column: str, value: object) -> np.ndarray:
-    values = value if isinstance(value, list) else [value]
-    if not values:
-        raise InputError(f"{column} is empty; give a value with its unit")
-    dimension = column_dimension(column) or "dimensionless"
-    return np.array([quantity(each, dimension, column) for each in values])

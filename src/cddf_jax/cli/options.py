@@ -15,6 +15,7 @@ from ..progress import stage
 if TYPE_CHECKING:
     from ..files.manipulator_file import RobotFile
     from ..measurements.table import Measurements
+    from ..reports.report import Report
     from ..robot.loads import Loads
 
 FAILED, BAD_INPUT, INTERRUPTED = 1, 2, 130  # exit codes
@@ -102,6 +103,9 @@ Column = Annotated[
         help='What a column of the data is, with its unit, such as "Tbase_N=base_tension [N]". "NAME=" leaves it out.'
     ),
 ]
+ShortSteps = Annotated[
+    int, typer.Option(help="With several tendons or loads: short steps for each step of a history.", min=2)
+]
 AverageHolds = Annotated[
     bool,
     typer.Option("--average-holds", help="One reading for each hold: consecutive rows of a trial at one level."),
@@ -146,6 +150,15 @@ def print_answer(text: str, answer: object, *, as_json: bool) -> None:
 
         text = json.dumps(plain(answer), indent=2)
     typer.echo(in_utf8(text))
+
+
+def give(report: "Report", out: Path | None, *, as_json: bool, code: int = FAILED) -> None:
+    """Write a report to the folder of `--out`, print it, and end the command with an exit code if it failed."""
+    with printed(lambda: report.text, report.answer, as_json=as_json):
+        if out is not None:
+            report.write(out)
+    if report.failure:
+        stop(report.failure, code)
 
 
 @contextmanager

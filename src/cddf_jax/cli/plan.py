@@ -1,6 +1,5 @@
 """`cddf plan`: which measurement to take next."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -17,17 +16,7 @@ def plan(
     data: options.Data = None,
     column: options.Column = None,
     average_holds: options.AverageHolds = False,
-    candidates: Annotated[
-        Path | None,
-        typer.Option(
-            help="TOML file of what could be measured, such as candidates.toml. It holds [[candidate]] tables with "
-            'base_tension = ["20 N", "40 N"], noise = { tip_angle = "1 deg" }.',
-            show_default="the usual ones: pulley test, tip tensions, tip angles, ...",
-        ),
-    ] = None,
-    tension: Annotated[
-        str, typer.Option(help="Largest base tension of the default candidates, with its unit.")
-    ] = "85 N",
+    tension: Annotated[str, typer.Option(help="Largest base tension of the candidates, with its unit.")] = "85 N",
     free: options.Free = None,
     tip_force: options.TipForce = None,
     tip_moment: options.TipMoment = None,
@@ -45,34 +34,30 @@ def plan(
     as_json: options.AsJson = False,
     out: options.Out = None,
 ) -> None:
-    """Which measurement to take next: what each candidate would add to what is known."""
+    """Which measurement to take next: what each candidate would add to what is known.
+
+    Candidates are the usual measurements, such as a pulley test, tip tensions and tip angles. For candidates of your
+    own use cddf_jax.plan in Python.
+    """
     read = options.read_robot(robot, kinematics)
     manipulator = read.manipulator
     with stage("loading"):
         from ..identification.experiment_design import plan, standard_candidates
         from ..identification.fit import fit
-        from ..reports.plan_report import plan_as_dict, plan_as_markdown
+        from ..reports.plan_report import plan_report
         from ..units import quantity
-        from .fit_options import read_candidates, read_leave_out, read_setting
+        from .fit_options import read_leave_out, read_setting
 
     names = tuple(free) if free else None
     largest = quantity(tension, "force", "--tension")
     if not largest > 0:
         raise InputError(f"--tension {tension}: give a tension above 0 N")
     setting = read_setting(options.loads_of(read, tip_force, tip_moment, gravity), marker, given)
-    choices = standard_candidates(manipulator, largest, setting) if candidates is None else read_candidates(candidates)
     tables = options.read_data(data, column, holds_averaged=average_holds)
     known = manipulator
     if tables:
         rows = read_leave_out(leave_out)
         known = fit(manipulator, tables, names, setting=setting, history=history, leave_out=rows)
-    found = plan(known, choices, names, setting=setting, criterion=criterion, num=num)
-    text, answer = plan_as_markdown(found), plan_as_dict(found)
-    with options.printed(lambda: text, answer, as_json=as_json):
-        if out is not None:
-            from ..figures.estimates import draw_plan
-            from ..figures.style import figure_of, render
-            from ..files.writing import as_json as json_text, write_all
-
-            figure = render(figure_of(draw_plan(found)), "plan")
-            write_all(out, {"plan.md": text, "plan.json": json_text(answer)} | figure)
+    candidates = standard_candidates(manipulator, largest, setting)
+    found = plan(known, candidates, names, setting=setting, criterion=criterion, num=num)
+    options.give(plan_report(found), out, as_json=as_json)

@@ -28,9 +28,7 @@ def reproduce(
     if any(read.gravity or ()):
         raise InputError(f"{robot}: the paper's manipulator bears no loads, this one has gravity; leave it out")
     with stage("loading"):
-        from ..files.writing import write_all
         from ..reports.reproduction import reproduce
 
-    answer, files = reproduce(read.manipulator, options.read_data([load_cells], column)[0])
-    with options.printed(lambda: str(files["reproduction.md"]), answer, as_json=as_json):
-        write_all(out, files)
+    report = reproduce(read.manipulator, options.read_data([load_cells], column)[0])
+    options.give(report, out, as_json=as_json)

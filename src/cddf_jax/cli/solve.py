@@ -39,14 +39,14 @@ def solve(
     X runs along the straight body from its base, Y to the side of a tendon with side = 1.
     """
     read = options.read_robot(robot, kinematics)
-    manipulator, columns = read.manipulator, read.columns
+    manipulator = read.manipulator
     with stage("loading"):
         from ..files.actuation import read_actuation, read_directions
-        from ..reports.solve_report import missed_targets_in_words, solve_as_dict, solve_in_words
+        from ..reports.solve_report import missed_targets_in_words, solve_report
         from ..statics.equilibrium import ended_as, on_host
         from ..statics.equilibrium_text import result_in_words
         from ..statics.solve import solve
-        from ..statics.status import Status, words_of
+        from ..statics.status import Status
 
     actuation = read_actuation(base_tension, manipulator)
     loads = options.loads_of(read, tip_force, tip_moment, gravity)
@@ -57,22 +57,4 @@ def solve(
         raise SolveError(missed_targets_in_words(equilibrium, actuation, base_tension))
     if not ended_as(equilibrium, Status.successful, Status.direction_contradicted, Status.unstable):
         raise SolveError(result_in_words(equilibrium))
-    answer = solve_as_dict(equilibrium, actuation, loads)
-    text = solve_in_words(equilibrium, actuation, base_tension, loads)
-    if columns:
-        answer["cross_sections"] = {column.name: column.words for column in columns}
-    with options.printed(lambda: text, answer, as_json=as_json):
-        if out is not None:
-            from ..figures.along import sections_figure
-            from ..figures.body import equilibrium_figure
-            from ..figures.style import render
-            from ..files.writing import as_json as json_text, write_all
-            from ..reports.export import fields_csv, fields_on_grid
-
-            figures = render(equilibrium_figure(manipulator, equilibrium, loads), "solve")
-            if columns:
-                figures |= render(sections_figure(columns), "cross_sections")
-            tables = {"solve.json": json_text(answer), "fields.csv": fields_csv(fields_on_grid(equilibrium))}
-            write_all(out, figures | tables)
-    if ended_as(equilibrium, Status.unstable):
-        options.stop(words_of(equilibrium.status), options.FAILED)
+    options.give(solve_report(read, equilibrium, actuation, base_tension, loads), out, as_json=as_json)

@@ -3,7 +3,7 @@
 import os
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
@@ -88,10 +88,6 @@ HistoryAxis = Annotated[
         '"base_tension_1_and_base_tension_2".'
     ),
 ]
-ShortSteps = Annotated[
-    int,
-    typer.Option(help="Short steps for each step of a history, with several tendons or loads.", min=2),
-]
 BaseTension = Annotated[
     list[str] | None,
     typer.Option("--base-tension", "-t", help="As for cddf solve, unless --over base_tension is given."),
@@ -99,14 +95,6 @@ BaseTension = Annotated[
 Output = Annotated[
     list[str],
     typer.Option(help="Names of outputs, with commas or repeated; also base_tension, tension_loss, curvature, ..."),
-]
-Sensitivity = Annotated[
-    list[str] | None,
-    typer.Option(help="A number by which all outputs are differentiated, for the store and the files."),
-]
-Memory = Annotated[
-    str | None,
-    typer.Option(help='Memory that the sweep may use, such as "2 GB".', show_default="a quarter of what is free"),
 ]
 Out = Annotated[
     Path | None,
@@ -125,13 +113,10 @@ def sweep(
     together: Together = None,
     sample: Sample = None,
     samples: Annotated[int | None, typer.Option(help="Number of samples, for --sample.", min=1)] = None,
-    sampler: Annotated[
-        Literal["latin_hypercube", "sobol"], typer.Option(help="How the samples are spread.")
-    ] = "latin_hypercube",
     seed: Annotated[int, typer.Option(help="Seed of the samples.", min=0)] = 0,
     history: History = False,
     history_axis: HistoryAxis = None,
-    short_steps: ShortSteps = 16,
+    short_steps: options.ShortSteps = 16,
     base_tension: BaseTension = None,
     direction: options.Direction = None,
     tip_force: options.TipForce = None,
@@ -140,9 +125,6 @@ def sweep(
     kinematics: options.KinematicsOption = None,
     nodes: options.Nodes = 16,
     output: Output = ["tip_tension,tip_position,tip_angle"],  # noqa: B006  # it is only read
-    sensitivity: Sensitivity = None,
-    precision: Annotated[Literal["float32", "float64"], typer.Option(help="Precision of all numbers.")] = "float64",
-    memory: Memory = None,
     chunk: Annotated[int | None, typer.Option(help="Solves between two writes.", min=1, show_default="fits")] = None,
     netcdf: Annotated[Path | None, typer.Option(help="Write a NetCDF file too, such as sweep.nc.")] = None,
     csv: Annotated[
@@ -151,11 +133,6 @@ def sweep(
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print the number of solves, disk and memory; solve and write nothing.")
     ] = False,
-    coordinator: Annotated[
-        str | None, typer.Option(help="HOST:PORT of process 0, if several processes share the work.")
-    ] = None,
-    num_processes: Annotated[int | None, typer.Option(help="Number of these processes.", min=1)] = None,
-    process_id: Annotated[int | None, typer.Option(help="Number of this process, from 0.", min=0)] = None,
     distributed: Annotated[
         bool, typer.Option("--distributed", help="Several processes, as Slurm or MPI started them.")
     ] = False,
@@ -164,13 +141,13 @@ def sweep(
 ) -> None:
     """A solve for every combination of what varies, on all cores, into a store that survives a stop.
 
-    Figures show up to three axes, or outputs over samples, and no derivatives. Solves that fail are counted and marked.
+    The figure shows outputs over one axis, with a line for each value of the others, or over two. Solves that fail are
+    counted and marked.
     """
     if kinematics is not None and any(text.partition("=")[0].strip() == "kinematics" for text in over or []):
         raise InputError("kinematics is given by --kinematics and varies too; leave one out")
 
-    processes = coordinator, num_processes, process_id
-    read = options.read_robot(robot, kinematics, lambda: _configure(*processes, distributed=distributed))
+    read = options.read_robot(robot, kinematics, _configure_distributed if distributed else _configure)
     with stage("loading"):
         from ..files.actuation import read_directions
         from ..reports import sweep_report
@@ -184,7 +161,6 @@ def sweep(
         together or [],
         sample or [],
         samples,
-        sampler,
         seed,
         base_tension or [],
         loads=options.loads_of(read, tip_force, tip_moment, gravity),
@@ -192,10 +168,7 @@ def sweep(
         short_steps=short_steps,
         direction=read_directions(direction, read.manipulator),
         outputs=tuple(dict.fromkeys(name.strip() for text in output for name in text.split(","))),
-        sensitivities=tuple(sensitivity or ()),
         nodes=nodes,
-        precision=precision,
-        memory=None if memory is None else sweep_options.read_memory(memory),
         chunk_size=chunk,
     )
     if dry_run:
@@ -218,23 +191,22 @@ def sweep(
         options.stop("no solve was successful; see the results", options.FAILED)
 
 
-def _configure(
-    coordinator: str | None, num_processes: int | None, process_id: int | None, *, distributed: bool
-) -> None:
-    """Set JAX up, alone or as one of several processes."""
+def _configure() -> None:
     from .. import application
-    from .sweep_options import read_processes
 
-    processes = read_processes(coordinator, num_processes, process_id, distributed=distributed)
-    if processes is not None:  # what libraries print when processes meet goes to standard error, the answer does not
-        sys.stdout.flush()
-        ours = os.dup(sys.stdout.fileno())
-        os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
-        sys.stdout = os.fdopen(ours, "w", encoding=sys.stdout.encoding, errors=sys.stdout.errors)
+    application.configure_jax(all_cores=True)
+
+
+def _configure_distributed() -> None:
+    """Set JAX up as one of several processes."""
+    from .. import application
+
+    # what libraries print when processes meet goes to standard error, the answer does not
+    sys.stdout.flush()
+    ours = os.dup(sys.stdout.fileno())
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    sys.stdout = os.fdopen(ours, "w", encoding=sys.stdout.encoding, errors=sys.stdout.errors)
     try:
-        application.configure_jax(all_cores=True, processes=processes)
+        application.configure_jax(all_cores=True, distributed=True)
     except (ValueError, RuntimeError) as error:
-        if processes is None:
-            raise
-        remedy = "check --coordinator" if processes else "give --coordinator, --num-processes and --process-id"
-        raise InputError(f"the processes do not find each other ({error}); {remedy}") from None
+        raise InputError(f"the processes do not find each other ({error}); start them by Slurm or MPI") from None

@@ -1,6 +1,5 @@
 """What `cddf sweep` reads at the command line and in a task file."""
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -12,7 +11,7 @@ from ..errors import InputError
 from ..files.actuation import read_actuation
 from ..robot.manipulator import Manipulator
 from ..sweeping.axes import OPTIONS, Dimension as Axis, dimensions_of
-from ..sweeping.sampling import latin_hypercube, sobol
+from ..sweeping.sampling import latin_hypercube
 from ..sweeping.sweep import Sweep
 from .options import read_all
 
@@ -20,8 +19,6 @@ OVER = '"base_tension=5N:85N:17" or "kinematics=published,exact"'
 TOGETHER = "friction_coefficient,youngs_modulus"
 MOST = 100_000_000  # values along an axis
 SAMPLE = '"youngs_modulus=1.2MPa:1.6MPa"'
-SAMPLERS = {"latin_hypercube": latin_hypercube, "sobol": sobol}
-BYTES = {"B": 1, "kB": 1e3, "MB": 1e6, "GB": 1e9, "TB": 1e12, "KiB": 2**10, "MiB": 2**20, "GiB": 2**30, "TiB": 2**40}
 
 
 def read_sweep(
@@ -30,7 +27,6 @@ def read_sweep(
     together: Sequence[str] = (),
     sample: Sequence[str] = (),
     samples: int | None = None,
-    sampler: str = "latin_hypercube",
     seed: int = 0,
     base_tension: Sequence[str] = (),
     **given: Any,
@@ -69,7 +65,7 @@ def read_sweep(
     joined = _joined(values, together)
     if ranges:
         limits = {name: _limits(name, text, dimension_of[name]) for name, text in ranges.items()}
-        joined["sample"] = SAMPLERS[sampler](limits, samples or 0, seed)
+        joined["sample"] = latin_hypercube(limits, samples or 0, seed)
     return replace(draft, dimensions=dimensions_of(joined))
 
 
@@ -130,34 +126,3 @@ def _limits(name: str, text: str, dimension: units.Dimension) -> tuple[float, fl
         raise InputError(f"--sample {name}: write least and largest as in {_example(name, dimension)}, got {text!r}")
     least, largest = (units.quantity(end.strip(), dimension, f"--sample {name}") for end in ends)
     return least, largest
-
-
-def read_memory(text: str) -> float:
-    """Bytes out of a text such as "2 GB"."""
-    found = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*([A-Za-z]+)\s*", text)
-    if not found or found[2] not in BYTES or not float(found[1]) > 0:
-        raise InputError(f"--memory {text!r}: write a number above 0 and one of {', '.join(BYTES)} as in '2 GB'")
-    return float(found[1]) * BYTES[found[2]]
-
-
-def read_processes(
-    coordinator: str | None, num_processes: int | None, process_id: int | None, *, distributed: bool
-) -> Mapping[str, str | int | None] | None:
-    """Arguments of `jax.distributed.initialize`; None for one process alone."""
-    given: dict[str, str | int | None] = {
-        "coordinator_address": coordinator,
-        "num_processes": num_processes,
-        "process_id": process_id,
-    }
-    if all(value is None for value in given.values()):
-        return {} if distributed else None
-    if coordinator is None or num_processes is None or process_id is None:
-        raise InputError(
-            "--coordinator, --num-processes and --process-id belong together; "
-            "give all three, or --distributed alone under Slurm or MPI"
-        )
-    if not re.fullmatch(r".+:\d+", coordinator):
-        raise InputError(f"--coordinator {coordinator!r}: write host and port as in 'node1:1234'")
-    if process_id >= num_processes:
-        raise InputError(f"--process-id {process_id}: {num_processes} processes are 0 to {num_processes - 1}")
-    return given

@@ -41,14 +41,6 @@ BeforeOption = Annotated[
         show_default="rest",
     ),
 ]
-MaxTurns = Annotated[int, typer.Option(help="How many turns can be remembered at once.", min=1)]
-ShortSteps = Annotated[
-    int,
-    typer.Option(
-        help="With several tendons or loads: short steps between two points of a loop. A path has 64 points or more.",
-        min=2,
-    ),
-]
 
 
 def trace(
@@ -60,8 +52,7 @@ def trace(
     tip_force: options.TipForce = None,
     tip_moment: options.TipMoment = None,
     gravity: options.Gravity = None,
-    max_turns: MaxTurns = 16,
-    short_steps: ShortSteps = 4,
+    short_steps: options.ShortSteps = 4,
     kinematics: options.KinematicsOption = None,
     nodes: options.Nodes = 16,
     as_json: options.AsJson = False,
@@ -75,8 +66,7 @@ def trace(
     read = options.read_robot(robot, kinematics)
     manipulator = read.manipulator
     with stage("loading"):
-        from ..files.writing import as_json as json_text, write_all
-        from ..reports import trace_report
+        from ..reports.trace_report import trace_report, traced
         from ..units import series
 
     loads, count = options.loads_of(read, tip_force, tip_moment, gravity), manipulator.num_tendons
@@ -87,21 +77,8 @@ def trace(
         if len(largest) != count or min(largest) < 0:
             raise InputError(f"--before {before}: give a tension of 0 N or more for each of {count} tendon(s)")
     with within(robot, ValueError):
-        found = trace_report.traced(manipulator, paths, driven, loads, nodes, max_turns, short_steps, largest)
-    answer = trace_report.trace_as_dict(found)
-    with options.printed(lambda: trace_report.trace_in_words(found), answer, as_json=as_json):
-        if out is not None:
-            from ..figures.history import history_figure
-            from ..figures.style import render
-
-            files: dict[str, str | bytes] = {
-                "trace.json": json_text(answer),
-                "loop.csv": trace_report.loop_csv(found),
-                "fields.csv": trace_report.fields_csv_of_steps(found),
-            }
-            moves = [max(own) - min(own) if kind == "force" else 0.0 for own, kind in zip(paths, driven, strict=True)]
-            figure = history_figure(manipulator, found.history, found.steps, tendon=moves.index(max(moves)))
-            write_all(out, files | render(figure, "trace"))
+        found = traced(manipulator, paths, driven, loads, nodes, short_steps, largest)
+    options.give(trace_report(found), out, as_json=as_json)
 
 
 def read_paths(

@@ -294,8 +294,7 @@ class ExplorerView:
         self.threads.fits.submit(self._fit, self.settings.kinematics)
 
     def _fit(self, kinematics: Kinematics) -> None:
-        from ..reports.fit_report import fit_in_words
-        from ..reports.fit_results import make_report
+        from ..reports.fit_report import fit_in_words, make_report
 
         try:
             fitted = self.exploration.fit(kinematics)

@@ -2,31 +2,23 @@
 
 from .along import (
     draw_along as draw_along,
-    draw_section_column as draw_section_column,
     sections_figure as sections_figure,
 )
 from .body import (
     draw_force_arrows as draw_force_arrows,
     draw_shape as draw_shape,
-    draw_view as draw_view,
     equilibrium_figure as equilibrium_figure,
-    views_figure as views_figure,
 )
 from .designs import (
     design_figure as design_figure,
     draw_design as draw_design,
     draw_trade_off as draw_trade_off,
 )
-from .estimates import (
-    bootstrap_figure as bootstrap_figure,
-    draw_correlation as draw_correlation,
-    draw_plan as draw_plan,
-    draw_profile as draw_profile,
-    profiles_figure as profiles_figure,
-)
 from .fit import (
     draw_fit as draw_fit,
+    draw_profile as draw_profile,
     draw_residuals as draw_residuals,
+    profiles_figure as profiles_figure,
     residuals_figure as residuals_figure,
     table_figures as table_figures,
 )

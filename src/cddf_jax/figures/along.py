@@ -7,14 +7,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ..errors import InputError
 from ..files.cross_sections import SectionColumn
 from ..quantities import QUANTITIES
 from ..robot.manipulator import Manipulator
 from ..robot.profiles import Constant, breakpoints
 from ..statics.equilibrium import Equilibrium
 from . import looks, style as draw
-from .geometry import ALONG, BENDING, fields_along, lines_along, stations, with_joints
+from .geometry import BENDING, fields_along, lines_along, stations, with_joints
 
 MARKERS = ("", "o", "s", "^", "D", "v", "x")  # one for each round through the dash patterns
 HEIGHT, SECTION_HEIGHT = 2.2, 1.9  # of a panel, inches
@@ -40,15 +39,13 @@ def draw_along(
             "bending" (1/m), the size of the curvature without twist; "twist" (1/m), zero in the plane;
             "normal_force" or "friction_force", the size of the force of a tendon on the body per length (N/m);
             "strain", the greatest of a cross-section that bends (%); "heading" (deg), in space the angle between the
-            axes of cross-section and base.
+            axes of cross-section and base; "offset" (mm) or "angle" (deg) of the tendons.
         axes: where to draw; None for a new figure, one column wide.
         style: of the lines, as `Axes.plot` takes it: color, label, ...
 
     Raises:
         InputError: for another quantity, or when the solve failed.
     """
-    if quantity not in ALONG:
-        raise InputError(f"draw_along: quantity must be one of {', '.join(ALONG)}, got {quantity!r}")
     s = stations(manipulator)
     along = fields_along(equilibrium, s)
     lines = lines_along(manipulator, along, quantity)
@@ -57,59 +54,51 @@ def draw_along(
         _draw_lines(axes, 1e3 * s, lines, names, style)
         axes.set(xlabel=QUANTITIES["arc_length"].axis_label, ylabel=QUANTITIES[quantity].axis_label)
         axes.set_xlim(0.0, 1e3 * s[-1] * (1.06 if len(lines) > 1 else 1.0))
-        axes.update_datalim([(0.0, 0.0)])
-        axes.lines[-1].sticky_edges.y.append(0.0)
-        axes.autoscale_view()
+        if quantity != "angle":  # whose zero means nothing
+            axes.update_datalim([(0.0, 0.0)])
+            axes.lines[-1].sticky_edges.y.append(0.0)
+            axes.autoscale_view()
     return axes
 
 
 def _draw_lines(axes: Axes, s: np.ndarray, values: np.ndarray, names: Sequence[str], style: looks.Look) -> None:
     """Lines that differ by dashes, and where these are used up by markers; several lines have numbers at their ends."""
     count, dashes = len(values), cycle([look["linestyle"] for look in looks.CURVES])
+    ends: dict[tuple[float, float], list[str]] = {}
     for i, (line, name, dash) in enumerate(zip(values, names, dashes, strict=False)):
         marker = MARKERS[i // len(looks.CURVES) % len(MARKERS)]
         look: looks.Look = {"color": looks.BLACK, "linestyle": dash, "marker": marker, "markevery": 25}
         look |= {"markerfacecolor": "white", "label": name if count > 1 else ""}
         axes.plot(s, line, **(look | style))
-        if count > 1:
-            last = np.flatnonzero(np.isfinite(line))[-1]
-            box = {"facecolor": "white", "edgecolor": "none", "pad": 0.4}
-            at = (s[last], line[last])
-            axes.annotate(name.split()[-1], at, (3, 0), textcoords="offset points", va="center", fontsize=7.5, bbox=box)
-    if count > 1:
+        last = np.flatnonzero(np.isfinite(line))[-1]
+        ends.setdefault((float(s[last]), round(float(line[last]), 3)), []).append(name.split()[-1])
+    box = {"facecolor": "white", "edgecolor": "none", "pad": 0.4}
+    for end, numbers in ends.items() if count > 1 else ():
+        place = {"textcoords": "offset points", "va": "center", "fontsize": 7.5, "bbox": box}
+        axes.annotate(", ".join(numbers), end, (3, 0), **place)
+    if count > 1 and "label" not in style:
         draw.legend_above(axes, 3)
 
 
 # --- a table of cross-sections ------------------------------------------------------------------
 
 
-def draw_section_column(column: SectionColumn, axes: Axes | None = None) -> Axes:
-    """The points of a column, and the profile that was taken for it, over the arc length, mm.
-
-    Args:
-        column: of `section_columns`.
-        axes: where to draw; None for a new figure, one column wide.
-    """
-    points, values = 1e3 * column.arc_length, 1e3 * column.values
-    s = with_joints(np.linspace(0.0, column.arc_length[-1], 1001), breakpoints(column.profile))
-    with draw.axes_or_new(axes, SECTION_HEIGHT) as axes:
-        axes.plot(1e3 * s, 1e3 * np.asarray(column.profile(s)), color=looks.BLUE, label="as read")
-        size = 1.2 if len(points) > MANY_POINTS else 3.2
-        look = {"markersize": size, "markerfacecolor": "white", "markeredgewidth": 0.7}
-        axes.plot(points, values, "o", color=looks.VERMILION, label="points of the table", **look)
-        low, high = axes.dataLim.intervaly
-        constant = isinstance(column.profile, Constant)
-        margin = (0.1 * high or 0.1) if constant else 0.08 * (high - low)
-        axes.set_ylim(low - margin, high + margin)
-        axes.set(xlabel="Arc length $s$ (mm)", ylabel=f"{column.name.replace('_', ' ').capitalize()} (mm)")
-        draw.legend_above(axes)
-    return axes
-
-
 def sections_figure(columns: Sequence[SectionColumn]) -> Figure:
-    """A panel for each column of a table of cross-sections, with one legend.
+    """The points of each column of a table of cross-sections, and the profile that was taken for it.
 
     Args:
         columns: of `section_columns`.
     """
-    return draw.panels_figure(lambda panel, column: draw_section_column(column, panel), columns, SECTION_HEIGHT)
+    return draw.panels_figure(_draw_section_column, columns, SECTION_HEIGHT)
+
+
+def _draw_section_column(axes: Axes, column: SectionColumn) -> None:
+    points, values = 1e3 * column.arc_length, 1e3 * column.values
+    s = with_joints(np.linspace(0.0, column.arc_length[-1], 1001), breakpoints(column.profile))
+    axes.plot(1e3 * s, 1e3 * np.asarray(column.profile(s)), color=looks.BLUE, label="as read")
+    look = {"markersize": 1.2 if len(points) > MANY_POINTS else 3.2, "markerfacecolor": "white"}
+    axes.plot(points, values, "o", color=looks.VERMILION, label="points of the table", **look)
+    low, high = axes.dataLim.intervaly
+    margin = max(0.08 * (high - low), 0.1 * high if isinstance(column.profile, Constant) else 0.0) or 0.1
+    axes.set_ylim(low - margin, high + margin)
+    axes.set(xlabel="Arc length $s$ (mm)", ylabel=f"{column.name.replace('_', ' ').capitalize()} (mm)")

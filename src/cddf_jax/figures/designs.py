@@ -9,7 +9,6 @@ from matplotlib.figure import Figure
 
 from ..designing.pareto import ParetoFront
 from ..designing.results import Design
-from ..quantities import QUANTITIES
 from ..robot.manipulator import Manipulator
 from ..units import preferred
 from . import geometry, looks, space, style as draw
@@ -70,7 +69,8 @@ def draw_design(design: Design, axes: Axes | None = None) -> Axes:
         InputError: for axes of the wrong kind.
     """
     if design.equilibria[0].in_space:
-        return _draw_spatial_design(design, axes)
+        after, old = _drawn(design)
+        return space.draw_spatial_shape(after, axes, old)
     before, after = design.start, design.manipulator
     s, line = geometry.stations(after), LINE * 1e3 * float(after.length)
     bent = geometry.bent_body(after, geometry.planar_fields_along(design.equilibria[0], s))
@@ -96,31 +96,23 @@ def draw_design(design: Design, axes: Axes | None = None) -> Axes:
     return axes
 
 
-def _draw_spatial_design(design: Design, axes: Axes | None) -> Axes:
-    after, old = _drawn(design)
-    with space.scene_or_new(axes, np.concatenate([after.points, old]), 2.2, 2.15) as scene:
-        _draw_both(scene, after, old)
-        if axes is None:
-            space.scale_of_scene(scene, space.tension_scale(after.tension), "$T$ (N)", given=False)
-    return scene
-
-
 def _spatial_figure(design: Design) -> Figure:
     """The designed body in three dimensions; beside it the routing of both bodies, and how they bend and twist."""
     after, old = _drawn(design)
     with draw.house_style():
         figure = draw.placed_figure(draw.DOUBLE_COLUMN, 3.5)
         scene, _ = space.new_scene(figure, np.concatenate([after.points, old]), 0.1, 0.45, 2.5, 2.6)
-        _draw_both(scene, after, old)
-        draw.colour_scale(figure, space.tension_scale(after.tension), "$T$ (N)", 3.15, 1.0, 1.6)
-        for quantity, left, bottom in (("angle", 4.15, 1.95), ("offset", 5.95, 1.95)):
-            _draw_routing(design, quantity, draw.place_in(figure, left, bottom, 1.0, 1.2))
-        for quantity, left, bottom in (("bending", 4.15, 0.45), ("twist", 5.95, 0.45)):
-            panel = draw.place_in(figure, left, bottom, 1.0, 1.2)
+        norm = draw.tension_scale(after.tension)
+        space.draw_scene(scene, after, norm, old)
+        draw.colour_scale(figure, norm, "$T$ (N)", 3.15, 1.0, 1.6)
+        for i, quantity in enumerate(("angle", "offset", "bending", "twist")):
+            panel = draw.place_in(figure, (4.15, 5.95)[i % 2], (1.95, 0.45)[i // 2], 1.0, 1.2)
             _draw_before_and_after(design, quantity, panel)
+            if i < 2:
+                panel.set_xlabel("")
             if np.max(np.abs(panel.get_ylim())) < NOTHING:
                 panel.set_ylim(-1.0, 1.0)  # differences by rounding are not drawn
-        figure.legend(*panel.get_legend_handles_labels(), loc="upper right", ncols=2)
+        figure.legend(*figure.axes[-1].get_legend_handles_labels(), loc="upper right", ncols=2)
     return figure
 
 
@@ -129,29 +121,6 @@ def _drawn(design: Design) -> tuple[Drawn, np.ndarray]:
     along = geometry.fields_along(design.equilibria[0], geometry.stations(design.manipulator))
     before = geometry.fields_along(design.equilibria_at_start[0], geometry.stations(design.start))
     return geometry.drawn(design.manipulator, along, design.cases[0].loads), 1e3 * np.asarray(before.position)
-
-
-def _draw_both(scene: space.Axes3D, after: Drawn, old: np.ndarray) -> None:
-    space.draw_scene(scene, after, space.tension_scale(after.tension))
-    scene.plot(*old.T, color=looks.GREY, linewidth=0.9, linestyle=(0, (4, 2)), zorder=8)
-
-
-def _draw_routing(design: Design, quantity: str, axes: Axes) -> None:
-    """The angle or the offset of each tendon over arc length, before and after, with their numbers at the ends."""
-    known, ends = QUANTITIES[quantity], {}
-    for body, look in ((design.start, START), (design.manipulator, END)):
-        s = geometry.stations(body)
-        tendons = zip(body.with_angles().tendons, geometry.reached(body, s), strict=True)
-        for i, (tendon, there) in enumerate(tendons, 1):
-            values = known.shown[0] * np.asarray(getattr(tendon, quantity)(s))[there]
-            axes.plot(1e3 * s[there], values, **look)
-            if look is END and body.num_tendons > 1:
-                end = (1e3 * s[there][-1], round(float(values[-1]), 3))
-                ends[end] = f"{ends[end]}, {i}" if end in ends else str(i)
-    for end, numbers in ends.items():
-        axes.annotate(numbers, end, (3, 0), textcoords="offset points", va="center", fontsize=7.5)
-    axes.set(xlabel="", ylabel=known.axis_label)
-    axes.set_xlim(0.0, 1e3 * float(design.manipulator.length))
 
 
 def _draw_straight(axes: Axes, manipulator: Manipulator, label: str, below: float, line: float) -> float:
@@ -182,7 +151,7 @@ def _draw_straight(axes: Axes, manipulator: Manipulator, label: str, below: floa
 def draw_trade_off(front: ParetoFront, axes: Axes | None = None) -> Axes:
     """The two objectives against each other: a point for each design, and a square for the start.
 
-    Designs that are not stationary are hollow. A start that is too far away to be drawn is given as text.
+    Designs that are not stationary are hollow. The legend gives a start that is too far away to be drawn.
 
     Args:
         front: of `pareto_front`.
@@ -196,7 +165,11 @@ def draw_trade_off(front: ParetoFront, axes: Axes | None = None) -> Axes:
         axes.plot(x[good], y[good], "o", color=looks.BLUE, label="designs")
         if np.any(~good & np.isfinite(x)):
             axes.plot(x[~good], y[~good], "o", color=looks.VERMILION, markerfacecolor="white", label="not stationary")
-        _draw_start(axes, [value * factor for value, (factor, _) in zip(front.start, scale, strict=True)], (x, y))
+        start = [value * factor for value, (factor, _) in zip(front.start, scale, strict=True)]
+        ends = [(np.nanmin(values), np.nanmax(values)) for values in (x, y)]
+        near = all(2 * low - high <= at <= 2 * high - low for at, (low, high) in zip(start, ends, strict=True))
+        words = "start" if near else f"start: {start[0]:.3g}, {start[1]:.3g}"
+        axes.plot(*(start if near else ([], [])), "s", color=looks.GREY, label=words)
         for set_label, name, (_, unit) in zip((axes.set_xlabel, axes.set_ylabel), front.names, scale, strict=True):
             words = re.sub("^(least|most) ", "", name).replace("_", " ").capitalize()
             raised = re.sub(r"\^(-?\d+)", r"$^{\1}$", unit)  # exponents as they are set: cm^3
@@ -204,17 +177,6 @@ def draw_trade_off(front: ParetoFront, axes: Axes | None = None) -> Axes:
         _widen(axes, x, y)
         axes.legend(loc="lower left", frameon=False)
     return axes
-
-
-def _draw_start(axes: Axes, start: list[float], points: tuple[np.ndarray, np.ndarray]) -> None:
-    """The start as a square, or as text if it is too far away to be drawn."""
-    spans = [(np.nanmin(values), np.nanmax(values)) for values in points]
-    within = [2 * low - high <= value <= 2 * high - low for value, (low, high) in zip(start, spans, strict=True)]
-    if all(within):
-        axes.plot(*start, "s", color=looks.GREY, label="start")
-        return
-    text = f"start: {start[0]:.3g}, {start[1]:.3g} (off the figure)"
-    axes.annotate(text, (0.98, 0.98), xycoords="axes fraction", ha="right", va="top", fontsize=7, color=looks.GREY)
 
 
 def _widen(axes: Axes, x: np.ndarray, y: np.ndarray) -> None:

@@ -1,7 +1,7 @@
-"""The figures of a fit: data and model, residuals over what was set, and residuals against normal quantiles."""
+"""The figures of a fit: data and model, residuals over what was set and against normal quantiles, and profiles."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from textwrap import fill
 from typing import NamedTuple
 
@@ -9,12 +9,14 @@ import numpy as np
 from jaxtyping import ArrayLike
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from scipy.special import betaincinv, ndtri
 
 from ..errors import InputError
+from ..estimation.determination import AT_BOUND, NOT_IDENTIFIED
+from ..estimation.profile_likelihood import Profile
 from ..identification import predictions as diagnostics
 from ..identification.bench import Bench, Group
-from ..identification.course import Course
 from ..identification.fit import Fit
 from ..identification.parameters import parameter_named
 from ..measurements.readings import kind_of
@@ -27,6 +29,7 @@ DEGREE = np.degrees(1.0)
 PANEL_HEIGHT, RESIDUAL_HEIGHT = 2.5, 1.7  # inches
 MOST_ACROSS = 3  # panels side by side
 BRANCHES = ((True, "o", "pulled"), (False, "v", "released"))
+MOST_SHOWN = 1.9**2  # times the rise at the ends of the interval: up to there a profile is drawn
 INTERVAL: looks.Look = {"fmt": "none", "ecolor": looks.SKY, "elinewidth": 2.5, "capsize": 0, "alpha": 0.5}
 
 
@@ -62,9 +65,12 @@ def draw_fit(fit: Fit, table: str | None = None, column: str | None = None, axes
     """
     panel = _panel_of("draw_fit", fit, table, column)
     with draw.axes_or_new(axes, PANEL_HEIGHT) as axes:
-        if panel.loops and panel.course is not None:
+        if panel.pulled is not None:
             draw_model_loops(axes, panel.loops)
-            _draw_branches(axes, panel.course, panel)
+            for branch, marker, words in BRANCHES:
+                own, look = panel.pulled == branch, {"color": looks.BLACK, "markerfacecolor": "white", "zorder": 3}
+                label = f"{panel.data_label}, {words}"
+                axes.plot(panel.x[own], panel.observed[own], marker, linestyle="none", label=label, **look)
         elif (curve := panel.curve) is None:
             ends = [np.min(panel.x), np.max(panel.x)]
             axes.plot(ends, ends, color=looks.BLUE, label="measured = predicted")
@@ -75,7 +81,7 @@ def draw_fit(fit: Fit, table: str | None = None, column: str | None = None, axes
             axes.plot(panel.x, panel.observed, "o", label=panel.data_label, **look)
         else:
             low, high = curve.value - curve.half_width, curve.value + curve.half_width
-            draw_band(axes, curve.grid, low, high, label="95 % band of the model")
+            draw.draw_band(axes, curve.grid, low, high, label="95 % band of the model")
             axes.plot(curve.grid, curve.value, color=looks.BLUE, label="model")
             draw_levels(axes, panel.x, panel.observed, label=panel.data_label)
         axes.set(xlabel=panel.x_label, ylabel=panel.y_label)
@@ -99,11 +105,10 @@ def draw_residuals(fit: Fit, table: str | None = None, column: str | None = None
     panel = _panel_of("draw_residuals", fit, table, column)
     with draw.axes_or_new(axes, RESIDUAL_HEIGHT) as axes:
         if (curve := panel.curve) is not None:
-            draw_band(axes, curve.grid, -curve.half_width, curve.half_width)
+            draw.draw_band(axes, curve.grid, -curve.half_width, curve.half_width)
         elif np.all(np.isfinite(panel.half_width)):
             axes.errorbar(panel.x, 0 * panel.x, yerr=panel.half_width, **INTERVAL)
-        pulled = panel.course.pulled[panel.there] if panel.loops and panel.course is not None else None
-        draw_about_zero(axes, panel.x, panel.residual, levels=curve is not None, pulled=pulled)
+        draw_about_zero(axes, panel.x, panel.residual, levels=curve is not None, pulled=panel.pulled)
         axes.set(xlabel=panel.x_label, ylabel=f"Residual ({panel.unit})")
     return axes
 
@@ -148,15 +153,14 @@ class _Panel(NamedTuple):
     x: np.ndarray
     observed: np.ndarray
     residual: np.ndarray  # observed - predicted
-    curve: diagnostics.ModelCurve | None  # None where no single one holds the rows
-    half_width: np.ndarray | float  # of the 95 % interval of the predictions, where there is no curve
     x_label: str
     y_label: str
     unit: str
     data_label: str
-    there: np.ndarray  # (rows,), in which rows of the table it was read
+    curve: diagnostics.ModelCurve | None = None  # None where no single one holds the rows
+    half_width: np.ndarray | float = np.nan  # of the 95 % interval of the predictions, where there is no curve
     loops: Sequence[diagnostics.ModelCurve] = ()  # the model along the path of each trial that comes back
-    course: Course | None = None
+    pulled: np.ndarray | None = None  # with loops, whether the tendon was pulled in each reading
 
 
 def _panel_of(who: str, fit: Fit, table: str | None, column: str | None) -> _Panel:
@@ -167,32 +171,33 @@ def _panel_of(who: str, fit: Fit, table: str | None, column: str | None) -> _Pan
     group = groups[column]
     if not diagnostics.has_numbers(fit, group):
         raise InputError(f"{who}: the model gave no numbers for {column} of {name}; see fit.result")
-    rows, curve = group.table, diagnostics.model_curve(fit, group)
-    there, observed, residual = group.there, group.observed, fit.residuals[group.label]
+    rows, there, curve = group.table, group.there, diagnostics.model_curve(fit, group)
+    observed, residual, kind = group.observed, fit.residuals[group.label], kind_of(column)
     label = ("simulated data" if rows.simulated else "data") + (", mean ± sd" if curve is not None else "")
     if column == "pulling_tension" and curve is not None:
         weight, curve = rows["weight"][there], curve._replace(grid=DEGREE * curve.grid)
         numbers = DEGREE * rows["wrap_angle"][there], observed / weight, residual / weight
-        words = "Wrap angle (deg)", "Pulling tension / weight (N/N)", "N/N"
-        return _Panel(*numbers, curve, np.nan, *words, label, there)
-    kind = kind_of(column)
+        return _Panel(*numbers, "Wrap angle (deg)", "Pulling tension / weight (N/N)", "N/N", label, curve)
     scale, unit = preferred(dimension_of(kind))
+
+    def scaled(model: diagnostics.ModelCurve) -> diagnostics.ModelCurve:
+        return model._replace(value=scale * model.value, half_width=scale * model.half_width)
+
     # " 2" of tendon 2, " at head" of a marker
     number = f" at {column.partition('@')[2]}" if "@" in column else column.removeprefix(kind).replace("_", " ")
     words, observed, residual = f"{QUANTITIES[kind].label}{number} ({unit})", scale * observed, scale * residual
-    base, axis = rows["base_tension"][there], "Base tension (N)"
+    over_base = _Panel(rows["base_tension"][there], observed, residual, "Base tension (N)", words, unit, label)
     if curve is not None:
-        curve = curve._replace(value=scale * curve.value, half_width=scale * curve.half_width)
-        return _Panel(base, observed, residual, curve, np.nan, axis, words, unit, label, there)
+        return over_base._replace(curve=scaled(curve))
     half = scale * diagnostics.half_width(fit, group)
     if loops := diagnostics.model_loops(fit, group):
         assert isinstance(group.experiment, Bench)
-        loops = [loop._replace(value=scale * loop.value, half_width=scale * loop.half_width) for loop in loops]
-        path = loops, group.experiment.course
-        return _Panel(base, observed, residual, None, half, axis, words, unit, label, there, *path)
+        assert group.experiment.course is not None
+        pulled = group.experiment.course.pulled[there]
+        return over_base._replace(loops=[scaled(loop) for loop in loops], half_width=half, pulled=pulled)
     words = words[0].lower() + words[1:]
-    labels = f"Predicted {words}", f"Measured {words}"
-    return _Panel(observed - residual, observed, residual, None, half, *labels, unit, label, there)
+    labels = {"x_label": f"Predicted {words}", "y_label": f"Measured {words}"}
+    return over_base._replace(x=observed - residual, half_width=half, **labels)
 
 
 def _groups(fit: Fit, table: str) -> dict[str, Group]:
@@ -222,13 +227,14 @@ def _draw_quantiles(axes: Axes, group: tuple[str, np.ndarray]) -> None:
     count, rank = residual.size, np.arange(1, residual.size + 1)
     quantile = ndtri((rank - 0.375) / (count + 0.25))
     lower, upper = (ndtri(betaincinv(rank, count + 1 - rank, level)) for level in (0.025, 0.975))
-    draw_band(axes, quantile, lower, upper, label="95 % of normal draws")
+    draw.draw_band(axes, quantile, lower, upper, label="95 % of normal draws")
     axes.plot(quantile, quantile, color=looks.BLUE, label="normal")
     axes.plot(quantile, np.sort(residual), "o", color=looks.BLACK, markerfacecolor="none", markersize=2.8, label="data")
     p_value = diagnostics.normality_of(residual).p_value
     text = f"{count} residuals" + (f"\nShapiro-Wilk p = {p_value:.2g}" if np.isfinite(p_value) else "")
     axes.text(0.04, 0.96, text, transform=axes.transAxes, va="top")
-    axes.set(xlabel="Normal quantile", ylabel="Residual / noise", title=fill(name, 44))
+    axes.set(xlabel="Normal quantile", ylabel="Residual / noise")
+    axes.set_title(fill(name, 44), parse_math=False)  # dollar signs of a file name are no formula
 
 
 # --- readings by level ---------------------------------------------------------------------------
@@ -240,32 +246,16 @@ class Levels(NamedTuple):
     x: np.ndarray
     mean: np.ndarray
     deviation: np.ndarray  # standard deviation over the readings of a level
-    lowest: np.ndarray
-    highest: np.ndarray
 
 
 def by_level(x: ArrayLike, y: ArrayLike) -> Levels:
     """Gather the readings y whose x agree within 2 % of the range of x, by which a set level may scatter."""
     x, y = np.asarray(x, float), np.asarray(y, float)
     order = np.argsort(x, kind="stable")
-    new_level = np.flatnonzero(np.diff(x[order]) > 0.02 * np.ptp(x)) + 1
-    return _gathered(np.split(order, new_level), x, y)
-
-
-def _gathered(groups: Sequence[np.ndarray], x: np.ndarray, y: np.ndarray) -> Levels:
-    """Readings by level, from the places of those of each level."""
-    return Levels(
-        x=np.array([x[group].mean() for group in groups]),
-        mean=np.array([y[group].mean() for group in groups]),
-        deviation=np.array([y[group].std(ddof=1) if len(group) > 1 else np.nan for group in groups]),
-        lowest=np.array([y[group].min() for group in groups]),
-        highest=np.array([y[group].max() for group in groups]),
-    )
-
-
-def draw_band(axes: Axes, x: np.ndarray, lower: np.ndarray, upper: np.ndarray, **style: looks.LookValue) -> None:
-    """The region between two lines."""
-    axes.fill_between(x, lower, upper, **({"color": looks.SKY, "alpha": 0.5, "linewidth": 0} | style))
+    groups = np.split(order, np.flatnonzero(np.diff(x[order]) > 0.02 * np.ptp(x)) + 1)
+    deviation = [y[group].std(ddof=1) if len(group) > 1 else np.nan for group in groups]
+    level, mean = (np.array([values[group].mean() for group in groups]) for values in (x, y))
+    return Levels(level, mean, np.array(deviation))
 
 
 def draw_levels(axes: Axes, x: ArrayLike, y: ArrayLike, **style: looks.LookValue) -> None:
@@ -273,19 +263,6 @@ def draw_levels(axes: Axes, x: ArrayLike, y: ArrayLike, **style: looks.LookValue
     levels = by_level(x, y)
     look = {"fmt": "o", "color": looks.BLACK, "markerfacecolor": "white", "elinewidth": 0.8, "zorder": 3}
     axes.errorbar(levels.x, levels.mean, yerr=levels.deviation, **(look | style))
-
-
-def _draw_branches(axes: Axes, course: Course, panel: _Panel) -> None:
-    """Mean and standard deviation of each hold over the base tension; markers show the branch."""
-    pulled, holds = course.pulled[panel.there], np.stack([course.trial, course.step], axis=1)[panel.there]
-    look: looks.Look = {"color": looks.BLACK, "markerfacecolor": "white", "elinewidth": 0.8, "zorder": 3}
-    for branch, marker, words in BRANCHES:
-        own = np.flatnonzero(pulled == branch)
-        if own.size:
-            _, hold, counts = np.unique(holds[own], axis=0, return_inverse=True, return_counts=True)
-            groups = np.split(own[np.argsort(hold, kind="stable")], np.cumsum(counts)[:-1])
-            levels, label = _gathered(groups, panel.x, panel.observed), f"{panel.data_label}, {words}"
-            axes.errorbar(levels.x, levels.mean, levels.deviation, fmt=marker, label=label, **look)
 
 
 def draw_about_zero(
@@ -308,3 +285,61 @@ def draw_about_zero(
             axes.plot(x[pulled == branch], residual[pulled == branch], marker, **look)
     reach = 1.15 * np.max(np.abs(residual), initial=0.0) or 1.0
     axes.set_ylim(-reach, reach)
+
+
+# --- profiles of the likelihood --------------------------------------------------------------------
+
+
+def draw_profile(fit: Fit, profile: Profile, axes: Axes | None = None) -> Axes:
+    """The root of the rise of the sum of squares over a parameter; two straight lines for a linear model.
+
+    The 95 % interval is where the profile is below the dashed line. A side on which it never crosses that line is
+    marked as open. A positive parameter with an open side is drawn on a logarithmic axis, without an estimate.
+
+    Args:
+        fit: of `fit`.
+        profile: of `fit.profile`.
+        axes: where to draw; None for a new figure, one column wide.
+    """
+    name, estimate, status = profile.name, fit.value[profile.name], fit.status[profile.name]
+    scale, label = shown_scale(name)
+    with draw.axes_or_new(axes, PANEL_HEIGHT) as axes:
+        interval, limit = profile.confidence_interval, np.sqrt(profile.threshold)
+        valley = status != AT_BOUND and not all(profile.closed) and bool(np.all(profile.value > 0))
+        low, high = _reach(profile, estimate, valley)
+        axes.set(xscale="log" if valley else "linear", xlabel=label, ylabel="Root of the rise in squares")
+        axes.set(xlim=(scale * low, scale * high), ylim=(-0.1 * limit, 1.9 * limit))
+        if not valley:
+            axes.xaxis.set_major_locator(MaxNLocator(5))
+        ends = np.clip(interval, low, high)
+        axes.axvspan(scale * ends[0], scale * ends[1], color=looks.SKY, alpha=0.35, linewidth=0, label="95 % interval")
+        root = np.sqrt(np.maximum(profile.rise, 0.0))
+        axes.plot(scale * profile.value, root, "o-", color=looks.BLUE, markersize=2.2, label="profile")
+        axes.axhline(limit, color=looks.VERMILION, linestyle="--", label="95 % limit")
+        if status != NOT_IDENTIFIED:
+            axes.axvline(scale * estimate, color=looks.BLACK, linestyle=":", label="estimate")
+        patch = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0}
+        look = {"transform": axes.transAxes, "va": "top", "color": looks.VERMILION, "bbox": patch}
+        if not profile.closed[0]:
+            word = "no solution" if profile.model_ends[0] else "bound" if status == AT_BOUND else "open"
+            axes.text(0.03, 0.96, word if word == "bound" else f"← {word}", ha="left", **look)
+        if not profile.closed[1]:
+            axes.text(0.97, 0.96, "no solution →" if profile.model_ends[1] else "open →", ha="right", **look)
+        draw.legend_above(axes)
+    return axes
+
+
+def profiles_figure(fit: Fit, profiles: Mapping[str, Profile]) -> Figure:
+    """A panel for each profile, with one legend."""
+    drawn = list(profiles.values())
+    return draw.panels_figure(lambda panel, profile: draw_profile(fit, profile, panel), drawn, PANEL_HEIGHT)
+
+
+def _reach(profile: Profile, estimate: float, valley: bool) -> tuple[float, float]:
+    """Lowest and highest value to show: somewhat more than the interval; for a valley at most two decades each way."""
+    ends = [end for end, closed in zip(profile.confidence_interval, profile.closed, strict=True) if closed]
+    shown = np.array([*profile.value[profile.rise < MOST_SHOWN * profile.threshold], *ends, estimate])
+    if valley:
+        return max(estimate / 100, shown.min() / 1.1), min(100 * estimate, 1.1 * shown.max())
+    margin = 0.05 * np.ptp(shown) or 1e-12
+    return shown.min() - margin, shown.max() + margin

@@ -59,15 +59,11 @@ class SpatialBody(NamedTuple):
         across = np.swapaxes(self.frame @ _circle(AROUND + 1).T, 1, 2)
         return self.midline[:, None] + self.outer_radius[:, None, None] * across
 
-    def is_behind(self, tendon: np.ndarray, sight: np.ndarray) -> np.ndarray:
-        """Where a line along the body, (points, 3), lies beyond the midline as seen from the direction `sight`."""
-        return (tendon - self.midline) @ sight < 0
-
     def is_hidden(self, tendon: np.ndarray, sight: np.ndarray) -> np.ndarray:
         """Where the body hides a line along it, (points, 3), seen from the direction `sight`."""
         arm = tendon - self.midline
         aside = np.linalg.norm(np.cross(arm, sight / np.linalg.norm(sight)), axis=-1)
-        return self.is_behind(tendon, sight) & (aside < self.outer_radius)
+        return (arm @ sight < 0) & (aside < self.outer_radius)  # behind the midline, and not beside the body
 
 
 class Drawn(NamedTuple):
@@ -166,10 +162,10 @@ def straight_body(manipulator: Manipulator, arc_length: np.ndarray, level: float
     return _body(manipulator, arc_length, midline, 0.0 * arc_length)
 
 
-def drawn(manipulator: Manipulator, along: AnyFields, loads: Loads | None, caller: str = "figures") -> Drawn:
-    """The body, tendons and loads to draw, from the fields along a body in space; the caller refuses the plane."""
+def drawn(manipulator: Manipulator, along: AnyFields, loads: Loads | None) -> Drawn:
+    """The body, tendons and loads to draw, from the fields along a body in space; the plane is refused."""
     if not isinstance(along, SpatialFields):
-        raise InputError(f"{caller}: the body is in the plane; draw_shape draws it")
+        raise InputError("figures: the body is in the plane; draw_shape draws it")
     s = np.asarray(along.arc_length)
     there, outer = reached(manipulator, s), 1e3 * _radii(manipulator, s)[0]
     return Drawn(
@@ -236,6 +232,10 @@ def _bent(along: AnyFields) -> tuple[ArrayLike, ArrayLike, ArrayLike]:
     return _size(along.curvature[..., 1:]), along.twist, np.arccos(np.clip(along.frame[..., 0, 0], -1.0, 1.0))
 
 
+def _angles(manipulator: Manipulator, arc_length: ArrayLike) -> np.ndarray:
+    return np.array([t.angle(arc_length) for t in manipulator.with_angles().tendons if t.angle is not None])
+
+
 # values in the unit of their label, (points,) or (tendons, points)
 ALONG: dict[str, Callable[[Manipulator, AnyFields], ArrayLike]] = {
     "tension": lambda _, along: along.tension,
@@ -246,6 +246,8 @@ ALONG: dict[str, Callable[[Manipulator, AnyFields], ArrayLike]] = {
     "friction_force": lambda _, along: _size(along.friction_force),
     "strain": lambda body, along: 100 * np.abs(body.outer_strain(along.arc_length, _bent(along)[0])),
     "heading": lambda _, along: np.degrees(_bent(along)[2]),
+    "offset": lambda body, along: 1e3 * np.asarray(body.offset(along.arc_length)),
+    "angle": lambda body, along: np.degrees(_angles(body, along.arc_length)),
 }
 BENDING = ("twist, $x$", "bending, $y$", "bending, $z$")
 
@@ -255,8 +257,10 @@ def lines_along(manipulator: Manipulator, along: AnyFields, quantity: str) -> np
 
     The curvature in space has three lines.
     """
+    if quantity not in ALONG:
+        raise InputError(f"figures: quantity must be one of {', '.join(ALONG)}, got {quantity!r}")
     if quantity == "strain" and manipulator.extensible:
-        raise InputError("draw_along: the strain along an axis that stretches is not known; see peak_strain")
+        raise InputError("figures: the strain along an axis that stretches is not known; see peak_strain")
     values = np.asarray(ALONG[quantity](manipulator, along))
     if quantity == "curvature" and values.ndim == 2:
         return values

@@ -15,8 +15,7 @@ from ..numerics.arrays import evaluated
 from ..quantities import QUANTITIES
 from ..robot.manipulator import Manipulator
 from . import looks, style as draw
-from .along import ALONG, lines_along
-from .geometry import stations
+from .geometry import lines_along, stations
 
 HEIGHT = 2.4  # inches, of a figure as wide as a column
 LOOPS = ("tip_tension", "tip_angle", "tendon_displacement", "front")
@@ -42,10 +41,10 @@ def history_figure(
     """
     steps = _steps(history, steps, tendon)
     with draw.house_style():
-        figure, (tension, angle, along, energy) = draw.panel_axes(4, 2, HEIGHT)
+        figure, (tension, angle, along, energy) = draw.panel_axes(4, HEIGHT)
         draw_loop(history, "tip_tension", tension, steps=steps, tendon=tendon)
         draw_loop(history, "tip_angle", angle, steps=steps, tendon=tendon)
-        _draw_along(manipulator, history, "tension", along, steps, tendon)
+        draw_history_along(manipulator, history, "tension", along, steps=steps, tendon=tendon)
         draw_energy(history, energy, steps=steps, tendon=tendon)
         angle.legend().remove()
         figure.align_ylabels()
@@ -80,10 +79,7 @@ def draw_loop(
     x, y = _of_tendon(history.base_tension, tendon), _of_tendon(getattr(history, quantity), tendon)
     y = QUANTITIES[quantity].shown[0] * y
     with draw.axes_or_new(axes, HEIGHT) as axes:
-        for start, end in pairwise(draw.turning_places(x)):
-            leg, look = slice(start, end + 1), PULLED if x[end] >= x[start] else RELEASED
-            axes.plot(x[leg], y[leg], **look)
-            draw.draw_arrow(axes, x[leg], y[leg], look["color"])
+        _draw_path(axes, x, y)
         _number_points(axes, x, y, steps)
         axes.set(xlabel=_label(history, "base_tension", tendon), ylabel=_label(history, quantity, tendon))
         axes.margins(0.08, 0.12)
@@ -103,26 +99,41 @@ def draw_history_along(
     """A quantity over arc length, mm, after some steps of a history, one line for each step; a dot marks the front.
 
     Up to the front the tendon slid last, and beyond it the tendon rests. Without a dot all of it slid. Steps
-    with the same line have one line together, and steps before the first tension have none.
+    with the same line have one line together, and steps before the first tension have none. The last six are drawn.
 
     Args:
         manipulator: the body that was traced.
         history, axes: as in `draw_loop`.
         quantity: as `draw_along` takes it.
-        steps: which of its steps, from 0, are drawn and have the numbers 1, 2, ...; unless given the last six steps at
-            which it turns.
+        steps: which of its steps, from 0, are drawn and have the numbers 1, 2, ...; those where it turns unless given.
         tendon: whose tensions and fronts are drawn, from 0.
 
     Raises:
-        InputError: for another quantity, for more than six lines, or when a step failed.
+        InputError: for another quantity, or when a step failed.
     """
-    if quantity not in ALONG:
-        raise InputError(f"draw_history_along: quantity must be one of {', '.join(ALONG)}, got {quantity!r}")
-    if steps is not None and len(steps) > LINES:
-        raise InputError(f"draw_history_along: {len(steps)} steps are too many lines; choose {LINES} of them")
-    steps = _steps(history, steps, tendon)
+    steps, s = _steps(history, steps, tendon), stations(manipulator)
+    fields, tension = evaluated(History.at, history, s), _of_tendon(history.base_tension, tendon)
+    lines = {}
+    for number, step in enumerate(steps, 1):
+        if np.any(tension[: step + 1]):
+            own = lines_along(manipulator, jax.tree.map(lambda x, step=step: x[step], fields), quantity)
+            lines[number] = own[tendon if len(own) == manipulator.num_tendons else 0]
     with draw.axes_or_new(axes, HEIGHT) as axes:
-        _draw_along(manipulator, history, quantity, axes, steps, tendon)
+        for numbers, look in zip(_alike(lines)[-LINES:], looks.CURVES, strict=False):
+            step, values = steps[numbers[0] - 1], lines[numbers[0]]
+            look: looks.Look = look | {"marker": "none", "label": f"{_listed(numbers)}: {tension[step]:.4g} N"}
+            axes.plot(1e3 * s, values, **look)
+            front = float(_of_tendon(history.front, tendon)[step])
+            if front < s[-1]:
+                axes.plot(
+                    1e3 * front, np.interp(front, s, values), "o", color=look["color"], markeredgecolor=looks.BLACK
+                )
+        if any(line.get_marker() == "o" for line in axes.lines):
+            axes.plot([], [], "o", color="white", markeredgecolor=looks.BLACK, label="front")
+        axes.set(xlabel=QUANTITIES["arc_length"].axis_label, ylabel=QUANTITIES[quantity].axis_label)
+        axes.set_xlim(0.0, 1e3 * s[-1])
+        axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+        draw.legend_above(axes, 4)
     return axes
 
 
@@ -165,16 +176,21 @@ def draw_energy(
 def draw_model_loops(axes: Axes, loops: Sequence[ModelCurve]) -> None:
     """The model of a fit with its 95 % band: solid when pulled, dashed when released, with arrows along the path."""
     for loop in loops:
-        for start, end in pairwise(draw.turning_places(loop.grid)):
-            leg, look = slice(start, end + 1), PULLED if loop.grid[end] >= loop.grid[start] else RELEASED
-            x, y, half_width = loop.grid[leg], loop.value[leg], loop.half_width[leg]
-            if np.all(np.isfinite(half_width)):
-                band = {"color": looks.SKY, "alpha": 0.4, "linewidth": 0}
-                axes.fill_between(x, y - half_width, y + half_width, label="95 % band of the model", **band)
-            own: looks.Look = look | {"label": f"model, {look['label']}"}
-            axes.plot(x, y, **own)
-            if np.ptp(x) > LEAST_LEG * np.ptp(loop.grid):
-                draw.draw_arrow(axes, x, y, look["color"])
+        low, high = loop.value - loop.half_width, loop.value + loop.half_width
+        for start, end in pairwise(draw.turning_places(loop.grid)) if np.all(np.isfinite(low)) else ():
+            leg = slice(start, end + 1)
+            draw.draw_band(axes, loop.grid[leg], low[leg], high[leg], label="95 % band of the model")
+        _draw_path(axes, loop.grid, loop.value, "model, ")
+
+
+def _draw_path(axes: Axes, x: np.ndarray, y: np.ndarray, what: str = "") -> None:
+    """A line in the order of its points, with an arrow on each part on which the tension rises or falls."""
+    for start, end in pairwise(draw.turning_places(x)):
+        leg, look = slice(start, end + 1), PULLED if x[end] >= x[start] else RELEASED
+        named: looks.Look = look | {"label": f"{what}{look['label']}"}
+        axes.plot(x[leg], y[leg], **named)
+        if np.ptp(x[leg]) > LEAST_LEG * np.ptp(x):
+            draw.draw_arrow(axes, x[leg], y[leg], look["color"])
 
 
 # --- numbers -------------------------------------------------------------------------------------
@@ -209,56 +225,20 @@ def _number_points(axes: Axes, x: np.ndarray, y: np.ndarray, steps: Sequence[int
     If there are many steps, only turns are numbered.
     """
     turns, many = draw.turning_places(x), len(steps) > NUMBERED
-    near = SAME * np.array([np.ptp(x) or 1.0, np.ptp(y) or 1.0])
-    points: list[list[int]] = []
-    for number, step in enumerate(steps):
-        if many and step not in turns:
-            continue
-        there = [own for own in points if np.all(np.abs(np.array([x, y])[:, [step, steps[own[0]]]] @ [1, -1]) < near)]
-        there[0].append(number) if there else points.append([number])
-    for numbers in points:
-        step = steps[numbers[0]]
+    numbered = {number: step for number, step in enumerate(steps, 1) if step in turns or not many}
+    sizes = np.array([np.ptp(x) or 1.0, np.ptp(y) or 1.0])
+    for numbers in sorted(_alike({n: np.array([x[step], y[step]]) / sizes for n, step in numbered.items()})):
+        step = numbered[numbers[0]]
         others = x[:step][x[:step] != x[step]]  # before it, where it stayed at that tension
         at, pulled = (x[step], y[step]), others.size == 0 or x[step] > others[-1]
         axes.plot(*at, "o", color=looks.BLACK, zorder=4)
         look: looks.Look = {"ha": "left", "va": "top"} if pulled else {"ha": "right", "va": "bottom"}
-        offset, text = (3, -3) if pulled else (-3, 3), _listed([number + 1 for number in numbers])
+        offset, text = (3, -3) if pulled else (-3, 3), _listed(numbers)
         axes.annotate(text, at, offset, textcoords="offset points", fontsize=7.5, zorder=5, **look)
 
 
-def _draw_along(
-    manipulator: Manipulator, history: History, quantity: str, axes: Axes, steps: Sequence[int], tendon: int
-) -> None:
-    s = stations(manipulator)
-    fields = evaluated(History.at, history, s)
-    tension = _of_tendon(history.base_tension, tendon)
-    begun = np.flatnonzero(tension)
-
-    def line(step: int) -> np.ndarray:
-        own = lines_along(manipulator, jax.tree.map(lambda x: x[step], fields), quantity)
-        return own[tendon if len(own) == manipulator.num_tendons else 0]
-
-    lines = {number: line(step) for number, step in enumerate(steps, 1) if begun.size and step >= begun[0]}
-    fronts = []
-    for numbers, look in zip(_alike(lines)[-LINES:], looks.CURVES, strict=False):
-        step, values = steps[numbers[0] - 1], lines[numbers[0]]
-        look: looks.Look = look | {"marker": "none", "label": f"{_listed(numbers)}: {tension[step]:.4g} N"}
-        axes.plot(1e3 * s, values, **look)
-        fronts.append((float(_of_tendon(history.front, tendon)[step]), values, look["color"]))
-    dot: looks.Look = {"linestyle": "none", "marker": "o", "markeredgecolor": looks.BLACK}
-    for front, values, color in fronts:
-        if front < s[-1]:
-            axes.plot(1e3 * front, np.interp(front, s, values), color=color, **dot)
-    if any(front < s[-1] for front, _, _ in fronts):
-        axes.plot([], [], color="white", label="front", **dot)
-    axes.set(xlabel=QUANTITIES["arc_length"].axis_label, ylabel=QUANTITIES[quantity].axis_label)
-    axes.set_xlim(0.0, 1e3 * s[-1])
-    axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
-    draw.legend_above(axes, 4)
-
-
 def _alike(lines: dict[int, np.ndarray]) -> list[list[int]]:
-    """The numbers of the lines, grouped by equal lines; groups are in the order of their last line."""
+    """The numbers of lines or points, grouped by equal ones; groups are in the order of their last number."""
     groups: list[list[int]] = []
     for number, line in lines.items():
         near = {"rtol": 0.0, "atol": SAME * np.nanmax(np.abs(line)), "equal_nan": True}

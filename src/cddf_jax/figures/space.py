@@ -10,7 +10,6 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
@@ -19,45 +18,41 @@ from mpl_toolkits.mplot3d.axis3d import Axis
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 
 from ..errors import InputError
-from ..robot.loads import Loads
 from . import looks, style as draw
 from .geometry import AZIMUTH, ELEVATION, Drawn, SpatialBody
 
 # by the name of a plane: the coordinates to the right and up, and the one that points to the reader
 VIEWS = {"XY": (0, 1, 2), "XZ": (0, 2, 1), "YZ": (1, 2, 0)}
 TOWARDS = {"XY": (0.0, 0.0, 1.0), "XZ": (0.0, -1.0, 0.0), "YZ": (1.0, 0.0, 0.0)}
+SIDE = 2.2  # inches, of the square in which a plot lies
+VIEWS_HEIGHT = 1.9  # inches, of the three views with their labels
 LABELS_OFF = ((0.13, 0.32), (0.13, 0.32), (0.17, 0.42))  # inches between an axis, its numbers and its name
 LIGHT = np.array([0.25, -0.45, 0.86])  # from where light falls on a body
-
-
-def tension_scale(tension: np.ndarray) -> Normalize:
-    """The colours of tensions: from the least to the most, or from 0 where they hardly differ."""
-    low, high = float(np.nanmin(tension)), float(np.nanmax(tension))
-    return Normalize(low if high - low > 1e-3 * high else 0.0, high or 1.0)
 
 
 # --- in three dimensions -------------------------------------------------------------------------
 
 
 @contextmanager
-def scene_or_new(axes: Axes | None, points: np.ndarray, width: float, height: float) -> Iterator[Axes3D]:
+def scene_or_new(axes: Axes | None, points: np.ndarray, norm: Normalize, label: str) -> Iterator[Axes3D]:
     """Axes in three dimensions around points, mm, to draw into: those given, or those of a new figure.
 
-    In a new figure the plot has this width and at most this height, inches; the figure fits around it.
+    The scale of colours with its label stands beside the plot. A new figure fits around the plot.
     """
     if isinstance(axes, Axes3D):
         _set_scene(axes, points)
+        draw.scale_beside(axes, norm, label, shrink=0.7, pad=0.12)
         yield axes
         return
     if axes is not None:
         raise InputError('figures: the body is in space; give axes with projection="3d", or none')
     with draw.house_style():
         figure = draw.placed_figure(draw.SINGLE_COLUMN, 3.0)
-        scene, taken = new_scene(figure, points, 0.12, 0.45, width, height)
-        figure.set_figheight(taken + 0.95)
-        side, left = max(width, height), 0.12 + 0.5 * (width - max(width, height))
-        up, across = figure.get_figheight(), figure.get_figwidth()
-        scene.set_position((left / across, (0.6 + 0.5 * (taken - side)) / up, side / across, side / up))
+        scene, taken = new_scene(figure, points, 0.12, 0.45, SIDE, SIDE)
+        up, across = taken + 0.95, figure.get_figwidth()
+        figure.set_figheight(up)
+        scene.set_position((0.12 / across, (0.6 + 0.5 * (taken - SIDE)) / up, SIDE / across, SIDE / up))
+        draw.colour_scale(figure, norm, label, draw.SINGLE_COLUMN - 0.5, 0.6, up - 0.95)
         yield scene
 
 
@@ -73,15 +68,6 @@ def new_scene(
     scene.patch.set_visible(False)
     _set_scene(scene, points)
     return scene, _fill_scene(scene, width, height)
-
-
-def scale_of_scene(scene: Axes3D, norm: Normalize, label: str, *, given: bool) -> None:
-    """The colours of values beside a plot in given axes, or in a figure of `scene_or_new`."""
-    if given:
-        draw.scale_beside(scene, norm, label, shrink=0.7, pad=0.12)
-    else:
-        figure = draw.figure_of(scene)
-        draw.colour_scale(figure, norm, label, draw.SINGLE_COLUMN - 0.5, 0.6, figure.get_figheight() - 0.95)
 
 
 def sight() -> np.ndarray:
@@ -144,21 +130,22 @@ def _axis_of(axes: Axes3D) -> Sequence[Axis]:
     return cast(Sequence[Axis], (axes.xaxis, axes.yaxis, axes.zaxis))
 
 
-def draw_scene(axes: Axes3D, what: Drawn, norm: Normalize) -> None:
-    """Body, tendons and loads in a scene whose limits are set, with shadows on the walls."""
-    draw_solid(axes, what)
-    for path, tension in zip(what.tendons, what.tension, strict=True):
-        behind, hidden = what.body.is_behind(path, sight()), what.body.is_hidden(path, sight())
-        dashes = np.where(hidden, _dashed(path, tension), np.nan)
-        draw.draw_coloured_line(axes, path, np.where(behind & ~hidden, tension, np.nan), norm, 3.0)
-        draw.draw_coloured_line(axes, path, np.where(behind, np.nan, tension), norm, 6.0)
-        draw.draw_coloured_line(axes, path, dashes, norm, 5.0, rim=False)
-        axes.plot(*path[np.isfinite(tension)][-1], "o", color=looks.BLACK, markersize=2.3, zorder=7)
-    _draw_loads(axes, what)
+def draw_spatial_shape(what: Drawn, axes: Axes | None, before: np.ndarray | None = None) -> Axes:
+    """A body in space with a scale of its tensions, in given axes or in a new figure.
+
+    `before` is the axis of another body, mm, (points, 3), which is dashed.
+    """
+    norm = draw.tension_scale(what.tension)
+    points = what.points if before is None else np.concatenate([what.points, before])
+    with scene_or_new(axes, points, norm, "$T$ (N)") as scene:
+        draw_scene(scene, what, norm, before)
+        if axes is None:
+            draw.legend_of_loads(draw.figure_of(scene), what.loads, loc="upper left", ncols=3)
+    return scene
 
 
-def draw_solid(axes: Axes3D, what: Drawn) -> None:
-    """The body without its tendons, the numbers of the tendons, the rest shape dotted, and shadows."""
+def draw_scene(axes: Axes3D, what: Drawn, norm: Normalize, before: np.ndarray | None = None) -> None:
+    """Body, tendons and loads in a scene whose limits are set; the rest shape dotted, and shadows on the walls."""
     look = {"facecolor": looks.PALE, "edgecolor": looks.PALE, "linewidth": 0.3, "zorder": 1}
     axes.add_collection3d(Poly3DCollection(shadows(axes, what.body), **look))
     for line in (what.straight.midline, what.straight.rings[-1]):
@@ -170,6 +157,20 @@ def draw_solid(axes: Axes3D, what: Drawn) -> None:
         x, y, z = (what.plate + 0.04 * what.length) * path[0] / np.linalg.norm(path[0])
         text = axes.text(x, y, z, str(i), ha="center", va="center", fontsize=7.5, zorder=8)
         text.set_path_effects([withStroke(linewidth=1.5, foreground="white")])
+    _draw_tendons(axes, what, norm, sight(), [0, 1, 2])
+    if before is not None:
+        axes.plot(*before.T, color=looks.GREY, linewidth=0.9, linestyle=(0, (4, 2)), zorder=8)
+    _draw_loads(axes, what)
+
+
+def _draw_tendons(axes: Axes, what: Drawn, norm: Normalize, sight: np.ndarray, shown: list[int]) -> None:
+    """The tendons in some of the three coordinates, dashed where the body hides them from the direction `sight`."""
+    for path, tension in zip(what.tendons, what.tension, strict=True):
+        line, hidden = path[:, shown], what.body.is_hidden(path, sight)
+        dashes = np.where(hidden, _dashed(path, tension), np.nan)
+        draw.draw_coloured_line(axes, line, np.where(hidden, np.nan, tension), norm, 6.0)
+        draw.draw_coloured_line(axes, line, dashes, norm, 5.0, rim=False)
+        axes.plot(*line[np.isfinite(tension)][-1], "o", color=looks.BLACK, markersize=2.3, zorder=7)
 
 
 def silhouette(body: SpatialBody, plane: Sequence[int]) -> list[np.ndarray]:
@@ -227,82 +228,34 @@ def _draw_loads(axes: Axes3D, what: Drawn) -> None:
 # --- in a plane ----------------------------------------------------------------------------------
 
 
-def draw_in_plane(axes: Axes, what: Drawn, norm: Normalize, plane: str) -> None:
+def draw_view(axes: Axes, what: Drawn, norm: Normalize, plane: str) -> None:
     """Body, tendons and loads as seen along the third axis, to scale."""
     right, up, _ = VIEWS[plane]
-    flat, towards = [right, up], np.array(TOWARDS[plane])
-    polygons = silhouette(what.body, flat)
-    axes.add_collection(PolyCollection(polygons, facecolor=looks.GREY, edgecolor=looks.GREY, linewidth=1.2, zorder=4))
-    axes.add_collection(PolyCollection(polygons, facecolor=looks.PALE, edgecolor=looks.PALE, linewidth=0.3, zorder=4))
-    for line in (what.straight.midline, what.straight.rings[-1]):
-        axes.plot(*line[:, flat].T, color=looks.GREY, linewidth=0.6, linestyle=(0, (1, 2)), zorder=2)
-    axes.plot(*what.plate_edge[:, flat].T, color=looks.BLACK, linewidth=1.0 if right == 0 else 0.6, zorder=3)
-    if what.body.frame[-1, :, 0] @ towards > 0:
-        axes.fill(*what.body.rings[-1][:, flat].T, facecolor="white", edgecolor=looks.GREY, linewidth=0.6, zorder=4.2)
-    for path, tension in zip(what.tendons, what.tension, strict=True):
-        line, behind, hidden = path[:, flat], what.body.is_behind(path, towards), what.body.is_hidden(path, towards)
-        draw.draw_coloured_line(axes, line, np.where(behind, np.nan, tension), norm, 5.0)
-        draw.draw_coloured_line(axes, line, np.where(behind & ~hidden, tension, np.nan), norm, 3.0)
-        dashes = np.where(hidden, _dashed(path, tension), np.nan)
-        draw.draw_coloured_line(axes, line, dashes, norm, 4.4, rim=False)
-        axes.plot(*line[np.isfinite(tension)][-1], "o", color=looks.BLACK, markersize=2.3, zorder=7)
+    flat, polygons = [right, up], silhouette(what.body, VIEWS[plane][:2])
+    for color, width in ((looks.GREY, 1.2), (looks.PALE, 0.3)):  # the rim, and over it the body
+        axes.add_collection(PolyCollection(polygons, facecolor=color, edgecolor=color, linewidth=width, zorder=1.5))
+    axes.plot(*what.straight.midline[:, flat].T, color=looks.GREY, linewidth=0.6, linestyle=(0, (1, 2)), zorder=1)
+    axes.plot(*what.plate_edge[:, flat].T, color=looks.BLACK, linewidth=1.0 if right == 0 else 0.6, zorder=1)
+    _draw_tendons(axes, what, norm, np.array(TOWARDS[plane]), flat)
     for arrow, color in ((what.force_arrow, looks.VERMILION), (what.moment_arrow, looks.PURPLE)):
         if len(arrow):
             axes.plot(*arrow[:, flat].T, color=color, linewidth=1.2, zorder=6)
             draw.draw_head(axes, arrow[-2, flat], arrow[-1, flat], color)
     axes.set(xlabel=f"${plane[0]}$ (mm)", ylabel=f"${plane[1]}$ (mm)")
-    axes.set_aspect("equal")
-    axes.autoscale_view()
 
 
-LABELS, GAP = 0.45, 0.12  # inches: left of and below each view; to the next one
-
-
-def _extents(points: np.ndarray) -> np.ndarray:
+def draw_views(figure: Figure, draw_into: Callable[[Axes, str], None], points: np.ndarray) -> None:
+    """Three plane views of points, mm, beside each other to one scale, at the foot of a figure."""
     low, high = points.min(axis=0), points.max(axis=0)
     margin = 0.05 * np.max(high - low)
-    return np.stack([low - margin, high + margin], axis=1)
-
-
-def _scale_of_views(extents: np.ndarray, width: float) -> float:
-    """Inches per mm of three views beside each other."""
-    across = sum(np.ptp(extents[right]) for right, _, _ in VIEWS.values())
-    return float(min((width - 3 * (LABELS + GAP)) / across, 2.4 / np.max(np.ptp(extents[1:], axis=1))))
-
-
-def height_of_views(points: np.ndarray, width: float) -> float:
-    """The height of three views of points, mm, beside each other, inches."""
-    extents = _extents(points)
-    return float(_scale_of_views(extents, width) * np.max(np.ptp(extents[1:], axis=1))) + LABELS
-
-
-def draw_views(figure: Figure, draw_into: Callable[[Axes, str], None], points: np.ndarray, width: float) -> None:
-    """Three plane views of points, mm, beside each other to one scale, centred in a width at the foot of a figure."""
-    extents = _extents(points)
-    scale, top = _scale_of_views(extents, width), height_of_views(points, width)
-    taken = scale * sum(np.ptp(extents[right]) for right, _, _ in VIEWS.values()) + 3 * (LABELS + GAP)
-    left = 0.5 * (width - taken)
-    for plane, (right, up, _) in VIEWS.items():
-        wide, high = scale * np.ptp(extents[[right, up]], axis=1)
-        axes = draw.place_in(figure, left + LABELS, LABELS + 0.5 * (top - LABELS - high), wide, high)
-        left += LABELS + wide + GAP
+    low, high = low - margin, high + margin
+    middle, half = 0.5 * (low + high), 0.5 * np.max((high - low)[1:])  # all views are as high as the highest
+    ratios, up = [high[right] - low[right] for right, _, _ in VIEWS.values()], figure.get_figheight()
+    place = {"left": 0.07, "right": 0.98, "bottom": 0.45 / up, "top": VIEWS_HEIGHT / up, "wspace": 0.35}
+    grid = figure.add_gridspec(1, 3, width_ratios=ratios, **place)
+    for column, (plane, (right, up, _)) in enumerate(VIEWS.items()):
+        axes = figure.add_subplot(grid[0, column])
         draw_into(axes, plane)
-        axes.set(xlim=extents[right], ylim=extents[up])
-        for axis, size in ((axes.xaxis, wide), (axes.yaxis, high)):
-            axis.set_major_locator(MaxNLocator(int(np.clip(size / 0.25, 1, 6)), steps=[1, 2, 5, 10], min_n_ticks=1))
-
-
-def legend_of_loads(loads: Loads) -> list[Line2D]:
-    """Entries of the legend for loads in space: the size of each arrow, and the components of gravity."""
-    force, moment, gravity = (np.asarray(x) for x in (loads.tip_force, loads.tip_moment, loads.gravity))
-    components = ", ".join(f"{x:.3g}" for x in gravity).replace("-", "\N{MINUS SIGN}")
-    entries = [
-        (f"$F$ = {np.linalg.norm(force):.3g} N", "$\\rightarrow$", looks.VERMILION, force),
-        (f"$m$ = {np.linalg.norm(moment):.3g} N m", r"$\curvearrowleft$", looks.PURPLE, moment),
-        (f"$g$ = ({components}) m/s$^2$", "", looks.BLACK, gravity),
-    ]
-    return [
-        Line2D([], [], marker=marker or "none", color=color, linestyle="none", markersize=9, label=label)
-        for label, marker, color, vector in entries
-        if np.any(vector)
-    ]
+        axes.set(xlim=(low[right], high[right]), ylim=(middle[up] - half, middle[up] + half), aspect="equal")
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10], min_n_ticks=1))

@@ -14,10 +14,10 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
-from matplotlib.mathtext import MathTextParser
+from matplotlib.lines import Line2D
+from matplotlib.markers import MarkerStyle
 from matplotlib.patches import Rectangle
 from matplotlib.style import context
-from matplotlib.text import Text
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from mpl_toolkits.mplot3d.axes3d import Axes3D
@@ -25,8 +25,9 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D
 from ..errors import InputError
 from ..files.writing import write_all
 from ..progress import stage
+from ..robot.loads import Loads
 from .geometry import Body
-from .looks import BLACK, GREY, PALE, LookValue
+from .looks import BLACK, GREY, PALE, PURPLE, SKY, VERMILION, LookValue
 
 Item = TypeVar("Item")
 Settings: TypeAlias = dict[Any, LookValue]  # by the names of Matplotlib's rcParams
@@ -57,19 +58,8 @@ class HouseFigure(Figure):
 
     def draw(self, renderer: Any) -> None:  # a RendererBase, or what Matplotlib passes in its place
         """Draw it; ticks take their look from the style only now."""
-        _leave_plain(self)
         with house_style():
             super().draw(renderer)
-
-
-def _leave_plain(figure: Figure) -> None:
-    """Draw texts with dollar signs that are no formula as they are; a file name may be such a text."""
-    for text in cast(list[Text], figure.findobj(Text)):
-        if "$" in text.get_text():
-            try:
-                MathTextParser("path").parse(text.get_text())
-            except ValueError:
-                text.set_parse_math(False)
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -88,9 +78,9 @@ def place_in(figure: Figure, left: float, bottom: float, width: float, height: f
     return figure.add_axes((left / across, bottom / up, width / across, height / up))
 
 
-def panel_axes(count: int, columns: int, height: float) -> tuple[Figure, list[Axes]]:
-    """A figure with `count` panels of one height, inches; call it within `house_style`."""
-    columns = min(count, columns)
+def panel_axes(count: int, height: float) -> tuple[Figure, list[Axes]]:
+    """A figure with `count` panels of one height, inches, two in a row; call it within `house_style`."""
+    columns = min(count, 2)
     rows = -(-count // columns)
     figure = new_figure(SINGLE_COLUMN if columns == 1 else DOUBLE_COLUMN, height * rows + 0.3)
     axes = figure.subplots(rows, columns, squeeze=False).ravel().tolist()
@@ -99,17 +89,21 @@ def panel_axes(count: int, columns: int, height: float) -> tuple[Figure, list[Ax
     return figure, axes[:count]
 
 
-def panels_figure(
-    draw: Callable[[Axes, Item], object], items: Sequence[Item], height: float, columns: int = 2
-) -> Figure:
+def panels_figure(draw: Callable[[Axes, Item], object], items: Sequence[Item], height: float) -> Figure:
     """A panel for each item, drawn by a function, with one legend above them all."""
     with house_style():
-        figure, panels = panel_axes(len(items), columns, height)
+        figure, panels = panel_axes(len(items), height)
         for panel, item in zip(panels, items, strict=True):
             draw(panel, item)
         common_legend(figure, panels)
         figure.align_labels()
     return figure
+
+
+def tension_scale(tension: np.ndarray) -> Normalize:
+    """The colours of tensions: from the least to the most, or from 0 where they hardly differ."""
+    low, high = float(np.nanmin(tension)), float(np.nanmax(tension))
+    return Normalize(low if high - low > 1e-3 * high else 0.0, high or 1.0)
 
 
 def scale_beside(axes: Axes, norm: Normalize, label: str, **look: LookValue) -> None:
@@ -125,13 +119,13 @@ def colour_scale(figure: Figure, norm: Normalize, label: str, left: float, botto
 
 
 @contextmanager
-def axes_or_new(axes: Axes | None, height: float, width: float = SINGLE_COLUMN) -> Iterator[Axes]:
+def axes_or_new(axes: Axes | None, height: float) -> Iterator[Axes]:
     """The axes to draw into: those given, in their own style, or new ones in the house style, in a figure in inches."""
     if axes is not None:
         yield axes
         return
     with house_style():
-        yield new_figure(width, height).subplots()
+        yield new_figure(SINGLE_COLUMN, height).subplots()
 
 
 def figure_of(axes: Axes) -> Figure:
@@ -144,6 +138,30 @@ def legend_above(axes: Axes, columns: int = 2) -> None:
     if found := _labelled([axes]):
         look = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "columnspacing": 1.2, "borderpad": 0.1}
         axes.legend(found.values(), found.keys(), ncols=min(columns, len(found)), **look)
+
+
+def legend_of_loads(where: Axes | Figure, loads: Loads, **look: LookValue) -> None:
+    """The size of each load by its arrow; arrows in the plane, and numbers in space, tell the way of gravity."""
+    force, moment, gravity = (np.asarray(x) for x in (loads.tip_force, loads.tip_moment, loads.gravity))
+    in_plane = force.size == 2
+    turn = r"$\curvearrowright$" if in_plane and moment < 0 else r"$\curvearrowleft$"
+    numbers = f"({', '.join(f'{x:.3g}' for x in gravity)})".replace("-", "\N{MINUS SIGN}")
+
+    def along(vector: np.ndarray) -> MarkerStyle:
+        return MarkerStyle(r"$\rightarrow$").rotated(rad=float(np.arctan2(vector[1], vector[0])) if in_plane else 0.0)
+
+    entries = (
+        (force, f"$F$ = {np.linalg.norm(force):.3g} N", along(force), VERMILION),
+        (moment, f"$m$ = {np.linalg.norm(moment):.3g} N m", turn, PURPLE),
+        (gravity, f"$g$ = {f'{np.linalg.norm(gravity):.3g}' if in_plane else numbers} m/s$^2$", along(gravity), BLACK),
+    )
+    handles = [
+        Line2D([], [], marker=marker, color=color, linestyle="none", markersize=9, label=label)
+        for load, label, marker, color in entries
+        if np.any(load)
+    ]
+    if handles:
+        where.legend(handles=handles, columnspacing=1.2, handletextpad=0.3, **look)
 
 
 def common_legend(figure: Figure, panels: Sequence[Axes]) -> None:
@@ -174,16 +192,8 @@ def to_scale(axes: Axes) -> None:
 
 @stage("drawing")
 def render(figure: Figure, name: str) -> dict[str, bytes]:
-    """The figure as PDF and PNG (300 dpi) by file name, laid out once; the same bytes for the same figure."""
-    engine = figure.get_layout_engine()
-    _leave_plain(figure)
-    with house_style():
-        if engine is not None:
-            engine.execute(figure)
-            figure.set_layout_engine(None)  # else each file would lay out and draw once more
-        files = {f"{name}.{suffix}": _bytes(figure, suffix) for suffix in ("pdf", "png")}
-        figure.set_layout_engine(engine)
-    return files
+    """The figure as PDF and PNG (300 dpi) by file name; the same bytes for the same figure."""
+    return {f"{name}.{suffix}": _bytes(figure, suffix) for suffix in ("pdf", "png")}
 
 
 def save(figure: Figure, path: str | Path) -> Path:
@@ -212,6 +222,11 @@ def _bytes(figure: Figure, suffix: str) -> bytes:
     with mpl.rc_context(FILES):
         figure.savefig(buffer, format=suffix, metadata=METADATA[suffix])
     return buffer.getvalue()
+
+
+def draw_band(axes: Axes, x: np.ndarray, lower: np.ndarray, upper: np.ndarray, **style: LookValue) -> None:
+    """The region between two lines."""
+    axes.fill_between(x, lower, upper, **({"color": SKY, "alpha": 0.5, "linewidth": 0} | style))
 
 
 # --- lines along a path in time ------------------------------------------------------------------

@@ -1,16 +1,15 @@
-"""Figures of sweeps: outputs over one number as lines, over two or three as contours, over samples as dots.
+"""Figures of sweeps: outputs over one number as lines, over two as contours.
 
-A sweep is first brought into the units of its labels. The result of each solve is then a coordinate of every output, so
-that every part of an output knows which of its solves failed.
+A sweep is first brought into the units of its labels. The result of each solve is then a coordinate of every output,
+so that every part of an output knows which of its solves failed.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from itertools import islice, pairwise, product
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm
 from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
@@ -19,19 +18,24 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
 from ..errors import InputError
+from ..quantities import QUANTITIES
 from ..statics.status import Status
 from ..sweeping.axes import OPTIONS, PATH
-from ..sweeping.one_solve import RESULT
-from . import looks, style as draw, sweep_labels as labels
-from .sweep_labels import PARTS, axis_label, results_in_words
+from ..sweeping.one_solve import COMPONENTS, RESULT
+from ..units import DIMENSION_OF, preferred
+from . import looks, style as draw
 
 if TYPE_CHECKING:
     import xarray
 
-LINES, COLUMNS, DOT_COLUMNS, PANELS = len(looks.CURVES), 4, 6, 12  # drawn at most
-SAMPLES, VALUES = 3000, 500  # drawn at most: in all, and along each axis
+LINES, VALUES = len(looks.CURVES), 500  # drawn at most: lines, and values along each axis
+# which part of an output
+PARTS: dict[str, Callable[[Any], str]] = {
+    "tendon": lambda number: f"of tendon {number + 1}",
+    "component": str,
+    "axis": lambda axis: f"axis {axis}",
+}
 MARKED = 30  # values up to which a line has a marker at each
-LABELLED = 2  # maps beside each other up to which contours are labelled
 
 
 # --- one output ----------------------------------------------------------------------------------
@@ -79,7 +83,7 @@ def draw_map(dataset: "xarray.Dataset", output: str, x: str, y: str, axes: Axes 
             raise InputError(f"draw_map: {name} is a path, on which tensions repeat; use draw_lines")
     array = _chosen("draw_map", dataset, output, (x, y), 1)
     with draw.axes_or_new(axes, 2.5) as axes:
-        _draw_maps([axes], [array], x, y)
+        _draw_map(axes, array, x, y)
         draw.legend_above(axes)
     return axes
 
@@ -92,7 +96,7 @@ def _chosen(who: str, dataset: "xarray.Dataset", output: str, over: Sequence[str
         raise InputError(
             f"{who}: {output!r} is not an output of this sweep, or is one along the body; there are {there}"
         )
-    numbers = [name for name, c in _lists(answer).items() if labels.is_numeric(c.values) and name not in PARTS]
+    numbers = [name for name, c in _lists(answer).items() if is_numeric(c.values) and name not in PARTS]
     if lost := [name for name in over if name not in numbers]:
         raise InputError(
             f"{who}: {lost[0]!r} is not a number that varies; there are {', '.join(numbers) or 'none left'}"
@@ -108,7 +112,9 @@ def _chosen(who: str, dataset: "xarray.Dataset", output: str, over: Sequence[str
     if (path := answer.attrs.get(PATH)) in own:
         answer = answer.assign_attrs({PATH: over[own.index(path)]})
     answer = answer.swap_dims(dict(zip(own, over, strict=True)))
-    return labels.in_label_units(_thinned(answer, dict.fromkeys(over, VALUES)), {})[output].transpose(*over, ...)
+    some = answer.isel({name: _spread(answer.sizes[name], VALUES) for name in over}).load()
+    some = some.sortby([name for name in over if name != answer.attrs.get(PATH)])
+    return in_label_units(some)[output].transpose(*over, ...)
 
 
 def _lists(answer: "xarray.Dataset") -> "dict[str, xarray.DataArray]":
@@ -119,66 +125,41 @@ def _lists(answer: "xarray.Dataset") -> "dict[str, xarray.DataArray]":
 # --- all outputs ---------------------------------------------------------------------------------
 
 
-def sweep_figure(
-    answer: "xarray.Dataset", outputs: Sequence[str], varied: Mapping[str, str] | None = None
-) -> Figure | str:
-    """Outputs over one axis as lines, over two or three as contours, over samples as dots, over a path as loops.
+def sweep_figure(answer: "xarray.Dataset", outputs: Sequence[str]) -> Figure:
+    """Outputs over one axis as lines, over two as contours, over a path as loops; a panel for each component.
 
-    Doubtful solves are hollow, or left out of contours, and failed solves are marked; the legend says why. Outputs
-    along the body have no panel.
+    Doubtful solves are hollow, or left out of contours, and failed solves are marked; the legend says why.
 
     Args:
         answer: of `sweep`.
-        outputs: names of those to draw; the first twelve of their components are drawn.
-        varied: by the name of each number that varies, in the order of columns, its words for labels; all coordinates
-            unless given.
+        outputs: names of those to draw, which do not run along the body.
 
-    Returns:
-        The figure; or in words why there is none.
+    Raises:
+        InputError: where no number varies, or too many for one figure; choose some of them with xarray.
     """
-    names = [name for name in outputs if "point" not in answer[name].dims]
     answer = _over_a_tension(answer.drop_dims("point", errors="ignore").squeeze(drop=True))
-    kinds = _kinds(answer)
-    if not names:
-        return "outputs along the body are not drawn over what varies"
-    if not kinds.numbers and not kinds.sampled:
-        return "no number varies"
-    loops = answer.attrs.get(PATH) in kinds.numbers
-    if not loops and not kinds.sampled and len(kinds.numbers) > 3 - bool(kinds.options):
-        count = f"{len(kinds.numbers)} axes{' and options' if kinds.options else ''}"
-        return f"{count} are too many for one; choose with xarray"
-    varied = varied or {name: labels.name_in_words(name) for name in _lists(answer)}
-    shown, swept = labels.in_label_units(_thinned(answer, kinds.most), varied), answer[RESULT].dims
-    each = (part for name in names for _, part in _parts_of(shown[name], swept, PANELS))
-    arrays = list(islice(each, PANELS))
-    if loops:
-        return _curves_figure(arrays, [answer.attrs[PATH]], 2)
-    if kinds.sampled:
-        numbers = [name for name in varied if name in shown.coords and name not in (*OPTIONS, *PARTS)][:DOT_COLUMNS]
-        dots = [dimension for dimension in swept if dimension not in kinds.options]
-        return _curves_figure(arrays, numbers, len(numbers), dots)
-    return _curves_figure(arrays, kinds.numbers, 2) if len(kinds.numbers) == 1 else _maps_figure(arrays, kinds)
+    dims = [str(dimension) for dimension in answer[RESULT].dims]
+    over, path = [name for name in dims if name in answer.coords and name not in OPTIONS], answer.attrs.get(PATH)
+    over = [path] if path in over else over
+    if not over:
+        raise InputError("no number varies along an axis of its own; choose what to draw with xarray")
+    if len(over) > 2 or (len(over) == 2 and len(dims) > 2):
+        raise InputError(f"{len(dims)} axes are too many for one figure; choose with xarray")
+    parts = [(part, name) for name in outputs for part in _components(answer, name)]
+
+    def draw_one(panel: Axes, what: "tuple[xarray.Dataset, str]") -> None:
+        draw_lines(*what, over[0], panel) if len(over) == 1 else draw_map(*what, over[0], over[1], panel)
+
+    return draw.panels_figure(draw_one, parts, 2.1)
 
 
-def left_out_of_figure(answer: "xarray.Dataset", outputs: Sequence[str]) -> list[str]:
-    """What the figure of a sweep leaves out, in words."""
-    names = [name for name in outputs if "point" not in answer[name].dims]
-    short = _over_a_tension(answer.drop_dims("point", errors="ignore").squeeze(drop=True))
-    kinds, sizes = _kinds(short), short.sizes
-    varied = [name for name in short.coords if name not in (*OPTIONS, *PARTS)]
-    components = sum(short[name].size // short[RESULT].size for name in names)
-    combinations = int(np.prod([sizes[name] for name in kinds.options]))
-    counts = [(components, PANELS, "components of outputs")]
-    if short.attrs.get(PATH) in kinds.numbers:
-        counts += [(short[RESULT].size // sizes[short.attrs[PATH]], LINES, "loops")]
-    else:
-        lines = bool(kinds.sampled) or len(kinds.numbers) == 1
-        counts += [(combinations, LINES if lines else COLUMNS, "combinations of options")]
-        counts += [(sizes[name], COLUMNS, f"values of {name}") for name in kinds.numbers[:-2]]
-        counts += [(len(varied), DOT_COLUMNS, "numbers that vary")] if kinds.sampled else []
-        counts += [(sizes[name], kinds.most[name], "samples") for name in kinds.sampled]
-    along = [f"{name}, which runs along the body" for name in outputs if name not in names]
-    return [*along, *(f"{count - most:,} of {count:,} {what}" for count, most, what in counts if count > most)]
+def _components(answer: "xarray.Dataset", name: str) -> "list[xarray.Dataset]":
+    """The sweep with one component of an output, for each of them."""
+    parts = [answer]
+    for dimension in answer[name].dims:
+        if dimension not in answer[RESULT].dims:
+            parts = [part.isel({dimension: i}) for part in parts for i in range(part.sizes[dimension])]
+    return parts
 
 
 def _over_a_tension(answer: "xarray.Dataset") -> "xarray.Dataset":
@@ -191,91 +172,23 @@ def _over_a_tension(answer: "xarray.Dataset") -> "xarray.Dataset":
     return answer.swap_dims({path: widest}).assign_attrs({PATH: widest})
 
 
-class _Kinds(NamedTuple):
-    """The dimensions of a sweep by what varies along them."""
-
-    sampled: list[str]  # several numbers together
-    options: list[str]
-    numbers: list[str]
-    most: dict[str, int]  # values along each number, and samples, that are drawn at most
-
-
-def _kinds(answer: "xarray.Dataset") -> _Kinds:
-    dimensions = [str(dimension) for dimension in answer[RESULT].dims]
-    sampled = [dimension for dimension in dimensions if dimension not in answer.coords]
-    options = [dimension for dimension in dimensions if dimension in OPTIONS]
-    numbers = [dimension for dimension in dimensions if dimension not in (*sampled, *options)]
-    places = int(np.prod([min(answer.sizes[name], VALUES) for name in numbers]))
-    most = dict.fromkeys(numbers, VALUES) | dict.fromkeys(sampled, max(SAMPLES // places, 1))
-    return _Kinds(sampled, options, numbers, most)
-
-
-def _thinned(answer: "xarray.Dataset", most: Mapping[str, int]) -> "xarray.Dataset":
-    """At most so many values along each dimension, in ascending order, except along a path."""
-    some = answer.isel({name: _spread(answer.sizes[name], count) for name, count in most.items()}).load()
-    return some.sortby([name for name in most if name in answer.coords and name != answer.attrs.get(PATH)])
-
-
 def _spread(size: int, most: int) -> np.ndarray:
     """At most `most` places, evenly spread over an axis, with both ends."""
     return np.unique(np.linspace(0, size - 1, min(size, most)).round().astype(int))
 
 
-def _curves_figure(
-    arrays: Sequence["xarray.DataArray"], numbers: Sequence[str], columns: int, dots: Sequence[object] = ()
-) -> Figure:
-    """A panel for each array over each number, with a line or the dots of each combination of options."""
-
-    def draw_one(panel: Axes, what: "tuple[xarray.DataArray, str]") -> None:
-        _draw_curves(panel, *what, dots)
-        if len(numbers) > 1:
-            panel.label_outer()
-
-    return draw.panels_figure(draw_one, list(product(arrays, numbers)), 2.1 if columns < 3 else 1.6, columns)
-
-
-def _maps_figure(arrays: Sequence["xarray.DataArray"], kinds: _Kinds) -> Figure:
-    """A panel for each array; with options or a third axis a row of panels for each array, with one colour scale."""
-    *_, x, y = kinds.numbers
-    rows = [list(_parts_of(array, (x, y), COLUMNS)) for array in arrays]
-    across = len(rows[0])
-    with draw.house_style():
-        figure, panels = draw.panel_axes(len(rows) * across, max(across, 2), 2.2 if across < COLUMNS else 1.7)
-        for i, row in enumerate(rows):
-            own = panels[i * across : (i + 1) * across]
-            _draw_maps(own, [part for _, part in row], x, y)
-            for panel, (title, _) in zip(own if across > 1 else (), row, strict=False):
-                panel.set_title(title if i == 0 else "")
-                panel.label_outer()
-        draw.common_legend(figure, panels)
-    return figure
-
-
-def _parts_of(array: "xarray.DataArray", over: Sequence[object], most: int) -> Iterator[tuple[str, "xarray.DataArray"]]:
-    """An array over some dimensions for each combination of the others, with this in words; at most `most` of them."""
-    others = [str(d) for d in array.dims if d not in over]
-    places = list(np.ndindex(*(array.sizes[d] for d in others)))
-    for k in _spread(len(places), most):
-        at = dict(zip(others, places[k], strict=True))
-        yield ", ".join(labels.value_words(array[d], i) for d, i in at.items()), array.isel(at)
-
-
 # --- drawing -------------------------------------------------------------------------------------
 
 
-def _draw_curves(axes: Axes, array: "xarray.DataArray", over: str, dots: Sequence[object] = ()) -> None:
-    """A line for each combination of what else varies, and the solves that are doubtful or failed.
-
-    Solves along the dimensions `dots` are drawn as dots of one colour, not as lines.
-    """
-    curves = []
-    for (label, part), look in zip(_parts_of(array, dots or (over,), LINES), looks.CURVES, strict=False):
-        x = part[over].broadcast_like(part).transpose(*part.dims).values.ravel()
-        y, codes = part.values.ravel(), part[RESULT].values.ravel()
+def _draw_curves(axes: Axes, array: "xarray.DataArray", over: str) -> None:
+    """A line for each combination of what else varies, and the solves that are doubtful or failed."""
+    curves, others = [], [str(dimension) for dimension in array.dims if dimension != over]
+    places = np.ndindex(*(array.sizes[dimension] for dimension in others))
+    for place, look in zip(places, looks.CURVES, strict=False):
+        at = dict(zip(others, place, strict=True))
+        label, part = ", ".join(value_words(array[d], i) for d, i in at.items()), array.isel(at)
+        x, y, codes = part[over].values, part.values, part[RESULT].values
         style: looks.Look = look | ({"marker": "none"} if x.size > MARKED else {})
-        if dots:
-            style = look | {"linestyle": "none", "markeredgewidth": 0, "alpha": 0.6, "rasterized": x.size > 500}
-            style["markersize"] = float(np.clip(60.0 / np.sqrt(x.size), 1.2, 3.5))
         axes.plot(x, np.where(codes == Status.successful, y, np.nan), label=label, **style)
         for start, end in pairwise(draw.turning_places(x)) if array[over].attrs["is_path"] else ():
             draw.draw_arrow(axes, x[start : end + 1], y[start : end + 1], look["color"])
@@ -301,28 +214,23 @@ def _draw_others(axes: Axes, x: np.ndarray, y: np.ndarray, codes: np.ndarray, lo
         axes.plot(x[failed], np.full(failed.sum(), 0.03), "x", color=looks.BLACK, **foot)
 
 
-def _draw_maps(panels: Sequence[Axes], arrays: Sequence["xarray.DataArray"], x: str, y: str) -> None:
-    """A panel for each array, with one scale of colours beside the last; hatched where nothing is drawn."""
-    sure = [array.where(array[RESULT] == Status.successful).transpose(y, x) for array in arrays]
-    numbers = [np.ma.masked_invalid(array.values) for array in sure]
-    levels = _levels(np.ma.stack(numbers).compressed())
-    norm, points = BoundaryNorm(levels, 256), (arrays[0][x].values, arrays[0][y].values)
-    lost = results_in_words(np.array([array[RESULT].values for array in arrays]))
-    for panel, values in zip(panels, numbers, strict=True):
-        panel.set(xlim=points[0][[0, -1]], ylim=points[1][[0, -1]], axisbelow=False)
-        panel.set(xlabel=axis_label(arrays[0][x]), ylabel=axis_label(arrays[0][y]))
-        if values.count():
-            panel.contourf(*points, values, levels=levels, cmap=draw.TENSION_COLOURS, norm=norm)
-        within = [level for level in levels if values.count() and values.min() < level < values.max()]
-        if within:
-            lines = panel.contour(*points, values, within, colors=looks.BLACK, linewidths=0.5, linestyles="solid")
-            if len(panels) <= LABELLED:
-                _write_levels(panel, lines)
-        if lost:
-            look = {"facecolor": looks.PALE, "edgecolor": looks.GREY, "hatch": "/////", "linewidth": 0.0, "zorder": 0}
-            panel.add_patch(Rectangle((0, 0), 1, 1, transform=panel.transAxes, label=f"hatched: {lost}", **look))
-    scale = ScalarMappable(norm, draw.TENSION_COLOURS)
-    draw.figure_of(panels[0]).colorbar(scale, ax=list(panels), label=axis_label(arrays[0]), pad=0.02, aspect=25)
+def _draw_map(axes: Axes, array: "xarray.DataArray", x: str, y: str) -> None:
+    """Contours with a scale of colours beside them; hatched where nothing is drawn."""
+    points, lost = (array[x].values, array[y].values), results_in_words(array[RESULT].values)
+    values = np.ma.masked_invalid(array.where(array[RESULT] == Status.successful).transpose(y, x).values)
+    levels = _levels(values.compressed())
+    norm = BoundaryNorm(levels, 256)
+    axes.set(xlim=points[0][[0, -1]], ylim=points[1][[0, -1]], axisbelow=False)
+    axes.set(xlabel=axis_label(array[x]), ylabel=axis_label(array[y]))
+    if values.count():
+        axes.contourf(*points, values, levels=levels, cmap=draw.TENSION_COLOURS, norm=norm)
+        if within := [level for level in levels if values.min() < level < values.max()]:
+            look = {"colors": looks.BLACK, "linewidths": 0.5, "linestyles": "solid"}
+            _write_levels(axes, axes.contour(*points, values, within, **look))
+    if lost:
+        look = {"facecolor": looks.PALE, "edgecolor": looks.GREY, "hatch": "/////", "linewidth": 0.0, "zorder": 0}
+        axes.add_patch(Rectangle((0, 0), 1, 1, transform=axes.transAxes, label=f"hatched: {lost}", **look))
+    draw.scale_beside(axes, norm, axis_label(array), pad=0.02)
 
 
 def _levels(there: np.ndarray) -> np.ndarray:
@@ -339,3 +247,70 @@ def _write_levels(axes: Axes, lines: QuadContourSet) -> None:
         text.set_path_effects([withStroke(linewidth=2.0, foreground="white")])
         place = axes.transAxes.inverted().transform(axes.transData.transform(text.get_position()))
         text.set_visible(bool(np.all(np.abs(place - 0.5) < 0.44)))
+
+
+# --- labels ----------------------------------------------------------------------------------------
+
+
+def in_label_units(answer: "xarray.Dataset") -> "xarray.Dataset":
+    """A sweep in the units of its labels, NaN where there is no number; the results are a coordinate of each output."""
+    there = answer[RESULT] >= 0
+    for array in answer.data_vars.values():
+        if array.dtype.kind == "f":
+            there = there & array.notnull().all([d for d in array.dims if d not in there.dims])
+
+    def shown(array: "xarray.DataArray") -> tuple[object, np.ndarray, dict[str, object]]:
+        name, unit = str(array.name), array.attrs.get("units", "1")
+        scale, unit = preferred(DIMENSION_OF[unit]) if unit in DIMENSION_OF else (1.0, unit)
+        if name in QUANTITIES and QUANTITIES[name].in_percent:
+            scale, unit = QUANTITIES[name].shown
+        # integers and booleans cannot be NaN: other outputs show where there is no number
+        values = array if array.dtype.kind == "f" else array.where(there).transpose(*array.dims)
+        attrs = {"words": name_in_words(name), "unit": unit, "yes_or_no": array.dtype.kind == "b"}
+        attrs["is_path"] = name == answer.attrs.get(PATH)
+        return array.dims, np.asarray(scale * values), attrs
+
+    outputs = {name: shown(array) for name, array in answer.data_vars.items() if name != RESULT}
+    numbers = {name: shown(c) for name, c in answer.coords.items() if is_numeric(c.values) and name not in PARTS}
+    return answer.assign(outputs).assign_coords(numbers).set_coords(RESULT)
+
+
+def is_numeric(values: np.ndarray) -> bool:
+    return bool(np.issubdtype(values.dtype, np.number))
+
+
+def value_words(coordinate: "xarray.DataArray", place: int) -> str:
+    """The value at a place along a dimension: "tendon 2", "exact kinematics", "Friction coefficient = 0.4"."""
+    name, value = str(coordinate.name), coordinate.values[place]
+    if name in PARTS:
+        return PARTS[name](value).removeprefix("of ")
+    if name in OPTIONS or "words" not in coordinate.attrs:
+        return f"{value} {name}"
+    words = f"{coordinate.attrs['words']} = {value:.4g} {coordinate.attrs['unit']}"
+    return words.strip().replace("-", "\N{MINUS SIGN}")
+
+
+def axis_label(array: "xarray.DataArray") -> str:
+    """Name, part of an output, and unit: "Tip tension of tendon 2 (N)"."""
+    at = {} if array.name in array.coords else array.coords
+    parts = [words(at[name].item()) for name, words in PARTS.items() if name in at and not at[name].ndim]
+    unit = f"({array.attrs['unit']})" if array.attrs["unit"] else ""
+    return " ".join(filter(None, [array.attrs["words"], *parts, unit]))
+
+
+def name_in_words(name: str) -> str:
+    """The name of a number or output in words: "loads.tip_force.1" is "Tip force Y".
+
+    The value of a target is called so: "Base tension target".
+    """
+    if name in QUANTITIES:
+        return QUANTITIES[name].label
+    parts = name.removeprefix("loads.").replace("tendons.", "tendon.").replace(".value", ".target").split(".")
+    places = COMPONENTS if parts[0] in ("tip_force", "tip_moment", "gravity") else range(1, 100)
+    words = " ".join(str(places[int(part)]) if part.isdigit() else part for part in parts).replace("_", " ")
+    return words[:1].upper() + words[1:]
+
+
+def results_in_words(codes: np.ndarray) -> str:
+    """The results of the solves that were not successful."""
+    return ", ".join(Status(code).name.replace("_", " ") for code in np.unique(codes) if code != Status.successful)

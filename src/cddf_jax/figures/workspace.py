@@ -9,12 +9,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from ..errors import InputError
-from ..quantities import QUANTITIES
 from ..statics.named_numbers import stem_and_tendon
 from ..statics.status import Status
 from ..sweeping.one_solve import RESULT
 from . import looks, space, style as draw
-from .sweep_labels import axis_label, in_label_units, name_in_words, results_in_words
+from .sweeps import axis_label, in_label_units, results_in_words
 
 if TYPE_CHECKING:
     import xarray
@@ -67,9 +66,8 @@ def draw_workspace(dataset: "xarray.Dataset", by: "str | xarray.DataArray" = TOT
             draw.scale_beside(axes, cloud.norm, cloud.label, pad=0.02)
             _legend(axes, cloud)
         return axes
-    with space.scene_or_new(axes, cloud.tips, 2.2, 2.2) as scene:
+    with space.scene_or_new(axes, cloud.tips, cloud.norm, cloud.label) as scene:
         _draw_cloud(scene, cloud)
-        space.scale_of_scene(scene, cloud.norm, cloud.label, given=axes is not None)
         _legend(draw.figure_of(scene) if axes is None else scene, cloud)
     return scene
 
@@ -87,12 +85,12 @@ def workspace_figure(dataset: "xarray.Dataset", by: "str | xarray.DataArray" = T
     if cloud.tips.shape[1] == 2:
         return draw.figure_of(draw_workspace(dataset, by))
     with draw.house_style():
-        width, below = 5.9, space.height_of_views(cloud.tips, 6.9) + 0.15
+        width, below = 5.9, space.VIEWS_HEIGHT + 0.15
         figure = draw.placed_figure(draw.DOUBLE_COLUMN, below + 3.3)
         scene, _ = space.new_scene(figure, cloud.tips, 1.3, below + 0.55, width - 2.0, 2.6)
         _draw_cloud(scene, cloud)
         draw.colour_scale(figure, cloud.norm, cloud.label, width, below + 0.8, 2.0)
-        space.draw_views(figure, lambda axes, plane: _draw_dots(axes, cloud, plane), cloud.tips, 6.9)
+        space.draw_views(figure, lambda axes, plane: _draw_dots(axes, cloud, plane), cloud.tips)
         _legend(figure, cloud)
     return figure
 
@@ -105,9 +103,8 @@ def _cloud(who: str, dataset: "xarray.Dataset", by: "str | xarray.DataArray") ->
     swept = dataset[RESULT].dims
     if several := [str(dim) for dim in array.dims if dim not in swept]:
         raise InputError(f"{who}: {array.name} has more than one number for each solve; choose one {several[0]}")
-    name = str(array.name) if array.name in QUANTITIES and array.name not in dataset.coords else "colour"
-    given = dataset[["tip_position", RESULT]].load().assign({name: array.load()})
-    shown = in_label_units(given, {name: name_in_words(str(array.name))})
+    name, given = str(array.name), dataset[["tip_position", RESULT]].load()
+    shown = in_label_units(given.assign({name: array.load()}))
     codes = given[RESULT].values.ravel()
     tips = shown["tip_position"].transpose(*swept, "component").values.reshape(len(codes), -1)
     values = shown[name].broadcast_like(given[RESULT]).transpose(*swept).values.ravel()
@@ -165,11 +162,8 @@ def _draw_cloud(axes: space.Axes3D, cloud: Cloud) -> None:
 
 def _draw_dots(axes: Axes, cloud: Cloud, plane: str) -> None:
     """The dots in a plane, the nearest on top."""
-    if cloud.tips.shape[1] == 2:
-        right, up, order = 0, 1, np.arange(len(cloud.tips))
-    else:
-        right, up, _ = space.VIEWS[plane]
-        order = np.argsort(cloud.tips @ np.array(space.TOWARDS[plane]), kind="stable")
+    right, up, _ = space.VIEWS[plane]
+    order = np.argsort(cloud.tips @ np.array(space.TOWARDS[plane])[: cloud.tips.shape[1]], kind="stable")
     _draw_coloured(axes, cloud.tips[order][:, [right, up]], cloud.values[order], cloud.codes[order], cloud)
     axes.set(xlabel=f"${plane[0]}$ (mm)", ylabel=f"${plane[1]}$ (mm)")
 

@@ -1,28 +1,200 @@
 """A fit as people read it: report.md with its figures, and results.json beside it."""
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from ..batch.drafts import check_folder
+from ..errors import InputError
 from ..estimation.bootstrap import Bootstrap
 from ..estimation.determination import NOT_IDENTIFIED, Determination
-from ..files.writing import as_json, markdown_table, write_all
+from ..estimation.profile_likelihood import Profile
+from ..files.manipulator_file import manipulator_text
+from ..files.writing import as_json, markdown_table, picked
 from ..identification.bench import Bench
 from ..identification.fit import Fit
 from ..identification.parameters import TRIALS, unit_of
-from ..identification.predictions import correlated_names, moving_names, own_names, tables_without_numbers
+from ..identification.predictions import (
+    Normality,
+    correlated_names,
+    moving_names,
+    normality,
+    own_names,
+    tables_without_numbers,
+)
 from ..identification.verdict import error_in_words, parameter_shown, shown_unit
 from ..measurements.columns import column_dimension
+from ..measurements.table import Measurements
 from ..progress import each, stage
+from ..robot.manipulator import Manipulator
+from ..statics.solve import solve
 from ..units import preferred
-from .fit_results import Report, fit_as_dict, make_report
+from .report import Files, Report, rendered, versions
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from ..identification.model_free import Disagreement, ModelFreeFriction, ModelFreeLoop
+
+
+LEAST_ROWS = 3  # for friction without a model
+# of results.json
+OF_FIT = (
+    *("result", "success", "verdict", "warnings", "noise", "noise_model", "noise_estimated", "input_noise"),
+    "serial_correlation",
+    *("trial_effects", "trial_spread", "moved_by_steps", "mean_relative_error", "reduced_chi_square"),
+    *("degrees_of_freedom", "log_likelihood", "information_criteria", "restarted", "num_steps"),
+)
+OF_DETERMINATION = (
+    *("names", "value", "standard_error", "confidence_interval", "status", "combinations", "sums", "correlation"),
+    *("rank", "condition_number", "sloppy_direction"),
+)
+OF_MODEL_FREE = ("value", "standard_error", "confidence_interval", "verdict")
+OF_LOOP = (
+    *("gain", "gain_standard_error", "gain_interval", "loss", "loss_standard_error", "zero", "zero_p_value"),
+    "verdict",
+)
+OF_BOOTSTRAP = (
+    *("kind", "seed", "num_failed", "num_cases", "coverage", "remark", "names", "standard_error"),
+    *("confidence_interval", "bias", "correlation", "estimates"),
+)
+
+
+class ModelFree(NamedTuple):
+    """Friction without a model of the body, and how far that of the fit lies from it."""
+
+    friction: "ModelFreeFriction"
+    disagreement: "Disagreement | None"  # None where the fit has no friction coefficient to compare
+
+
+class LoopCompared(NamedTuple):
+    """The result of a loop of tensions without a model of the body, and the loss of the fit."""
+
+    model_free: "ModelFreeLoop"
+    loss_of_fit: float  # 1/T_tip - 1/T_base of a pull, 1/N
+
+
+class FitResults(NamedTuple):
+    """A fit and the results that belong to it."""
+
+    fit: Fit
+    profiles: dict[str, Profile]  # by fitted parameter; none of a fit that failed
+    bootstraps: tuple[Bootstrap, ...]
+    normality: dict[str, Normality]
+    model_free: dict[str, ModelFree]  # by table
+    loops: dict[str, LoopCompared]  # by table with a history
+
+
+def make_report(fit: Fit, *, bootstraps: Sequence[Bootstrap] = (), with_profiles: bool = True) -> FitResults:
+    """Compute all that a report contains; profiles take some seconds."""
+    profiles = (
+        {name: fit.profile(name) for name in each("profile", own_names(fit))} if fit.success and with_profiles else {}
+    )
+    return FitResults(fit, profiles, tuple(bootstraps), normality(fit), _model_free(fit), _loops(fit))
+
+
+def _model_free(fit: Fit) -> dict[str, ModelFree]:
+    """Model-free friction of every table with tip tension and tip angle, for one tendon parallel to the axis."""
+    body = fit.manipulator
+    if body.kinematics != "exact" or body.num_tendons != 1 or body.slanted:
+        return {}
+    from ..identification.model_free import COLUMNS, disagreement, model_free_friction
+
+    found, mu = {}, "friction_coefficient"
+    for name, table in _from_rest(fit, COLUMNS):
+        if len(table) >= LEAST_ROWS:
+            with suppress(InputError):  # no row is bent
+                friction = model_free_friction(table, in_order=name in fit.without_jitter)
+                determined = mu in fit.names and np.isfinite(fit.standard_error[mu])
+                compared = None
+                if determined:
+                    reach = fit.evidence.uncertainty(np.array([[own == mu for own in fit.names]], float))
+                    freedom = float(reach.freedom[0])
+                    compared = disagreement(friction, fit.value[mu], fit.standard_error[mu], freedom)
+                found[name] = ModelFree(friction, compared)
+    return found
+
+
+def _from_rest(fit: Fit, columns: Collection[str]) -> Iterator[tuple[str, Measurements]]:
+    """The tables that have these columns, and whose trials begin at rest if their rows have a history."""
+    named = zip(fit.model.names, fit.model.experiments, strict=True)
+    rest = {name for name, one in named if not isinstance(one, Bench) or one.course is None or one.course.past is None}
+    for name, table in zip(fit.model.names, fit.tables, strict=True):
+        if name in rest and all(column in table for column in columns):
+            yield name, table
+
+
+def _loops(fit: Fit) -> dict[str, LoopCompared]:
+    """The loops in tables with a history and tip tensions, of a tendon parallel to the axis without drag or loads."""
+    body = fit.manipulator
+    if not fit.success or body.tendon_drag is not None or body.slanted or fit.setting.loads is not None:
+        return {}
+    from ..identification.model_free import model_free_loop
+
+    found = {}
+    for name, table in _from_rest(fit, ("tip_tension",)):
+        if name in fit.without_jitter:
+            with suppress(InputError):  # not released far enough
+                loop, tension = model_free_loop(table), float(table["base_tension"].max())
+                found[name] = LoopCompared(loop, float(1 / solve(body, tension).tip_tension[0]) - 1 / tension)
+    return found
+
+
+# --- results.json --------------------------------------------------------------------------------
+
+
+def fit_as_dict(results: FitResults) -> dict[str, object]:
+    """All results and all inputs of a fit, SI units, for JSON, where an infinite number becomes null."""
+    fit = results.fit
+    return {
+        **_determination_as_dict(fit),
+        **picked(fit, OF_FIT),
+        "alone": {name: _determination_as_dict(determination) for name, determination in fit.alone.items()},
+        "pull_alone": None if fit.pull_alone is None else _determination_as_dict(fit.pull_alone),
+        "without_jitter": fit.without_jitter,
+        "normality": results.normality,
+        "cost_from_each_start": fit.starts,
+        "profiles": results.profiles,
+        "bootstraps": [picked(bootstrap, OF_BOOTSTRAP) for bootstrap in results.bootstraps],
+        "model_free_friction": {
+            name: {"unit": "1"} | picked(found.friction, OF_MODEL_FREE) | {"disagreement": found.disagreement}
+            for name, found in results.model_free.items()
+        },
+        "model_free_loop": {
+            name: picked(found.model_free, OF_LOOP) | {"loss_of_fit": found.loss_of_fit, "unit_of_loss": "1/N"}
+            for name, found in results.loops.items()
+        },
+        "data": [_table_as_dict(table) for table in fit.tables],
+        "manipulator": _as_toml(fit.model.manipulator),
+        "kinematics": fit.manipulator.kinematics,
+        "options": fit.options,
+        "versions": versions(),
+    }
+
+
+def _table_as_dict(table: Measurements) -> dict[str, object]:
+    named = {"files": table.files or (table.name,), "rows": len(table), "sha256": table.checksum}
+    named |= {"markers": {name: marker._asdict() for name, marker in table.markers.items()}} if table.markers else {}
+    return picked(table, ("name", "simulated", "read_as")) | named | {"holds_averaged": table.spread is not None}
+
+
+def _determination_as_dict(found: Determination) -> dict[str, object]:
+    units = {name: unit_of(name) for name in (*found.names, *found.identified_together)}
+    return {"unit": units} | picked(found, OF_DETERMINATION)
+
+
+def _as_toml(manipulator: Manipulator) -> str | None:
+    """The text of a file of the manipulator at the start of the search; None for profiles that no file can hold."""
+    for outside in (False, True):
+        with suppress(InputError):
+            return manipulator_text(manipulator, offsets_outside_wall=outside)
+    return None
+
+
+# --- the report -----------------------------------------------------------------------------------
 
 
 def write_fit(fit: Fit, folder: str | Path, *, bootstraps: Sequence[Bootstrap] = ()) -> None:
@@ -37,87 +209,110 @@ def write_fit(fit: Fit, folder: str | Path, *, bootstraps: Sequence[Bootstrap] =
         InputError: if the folder cannot be written, before the profiles are computed.
     """
     check_folder(Path(folder))
-    write_report(make_report(fit, bootstraps=bootstraps), folder)
+    fit_report(make_report(fit, bootstraps=bootstraps)).write(folder)
 
 
-def write_report(report: Report, folder: str | Path) -> None:
-    """Write all of it, or nothing."""
-    from ..figures.style import render
+def fit_report(results: FitResults) -> Report:
+    """The answer of `cddf fit`."""
+    answer, fit = fit_as_dict(results), results.fit
 
-    contents: dict[str, str | bytes] = {}
-    figures = report_figures(report)
-    for name in each("figure", list(figures)):
-        contents |= render(figures[name], name)
-    contents |= {"report.md": fit_as_markdown(report, tuple(figures)), "results.json": as_json(fit_as_dict(report))}
-    write_all(folder, contents)
+    def files() -> Files:
+        figures = report_figures(results)
+        texts = {"report.md": fit_as_markdown(results, tuple(figures)), "results.json": as_json(answer)}
+        return texts | rendered(figures)
+
+    return Report(fit_in_words(results), answer, files, "" if fit.success else f"the fit failed: {fit.result}")
 
 
 @stage("drawing")
-def report_figures(report: Report) -> "dict[str, Figure]":
+def report_figures(results: FitResults) -> "dict[str, Figure]":
     """The figures by file name; `left_out` says why others are missing."""
-    from ..figures.estimates import bootstrap_figure, draw_correlation, profiles_figure
-    from ..figures.fit import residuals_figure, table_figures
-    from ..figures.style import figure_of
+    from ..figures.fit import profiles_figure, residuals_figure, table_figures
 
-    fit, missing = report.fit, left_out(report)
-    makers: dict[str, Callable[[], Figure]] = {
-        "residuals": partial(residuals_figure, fit),
-        "profiles": partial(profiles_figure, fit, report.profiles),
-        "correlation": lambda: figure_of(draw_correlation(fit)),
-    }
-    makers |= {f"bootstrap_{found.kind}": partial(bootstrap_figure, fit, found) for found in report.bootstraps}
-    return table_figures(fit) | {name: make() for name, make in makers.items() if name not in missing}
+    fit, missing = results.fit, left_out(results)
+    figures = table_figures(fit)
+    if "residuals" not in missing:
+        figures["residuals"] = residuals_figure(fit)
+    if "profiles" not in missing:
+        figures["profiles"] = profiles_figure(fit, results.profiles)
+    return figures
 
 
-def left_out(report: Report) -> dict[str, str]:
-    """The reasons for missing figures and tables, by name."""
-    fit, failed = report.fit, f"the fit failed: {report.fit.result}"
+def left_out(results: FitResults) -> dict[str, str]:
+    """The reasons for missing figures, by name."""
+    fit = results.fit
     reasons = tables_without_numbers(fit)
     if not all(np.all(np.isfinite(residual)) for residual in fit.residuals.values()):
         reasons["residuals"] = "the model gave no numbers for some rows"
-    if not report.profiles:
-        reasons["profiles"] = "none were asked for" if fit.success else failed
-    if not fit.success:
-        reasons["correlation"] = failed
-    elif len(correlated_names(fit)) < 2:
-        reasons["correlation"] = "the data determine fewer than two parameters, and a correlation needs two"
-    for bootstrap in report.bootstraps:
-        if not moving_names(fit):
-            reasons[f"bootstrap_{bootstrap.kind}"] = "every parameter lies at a bound"
-        elif len(bootstrap.estimates) < 2:
-            reasons[f"bootstrap_{bootstrap.kind}"] = "fewer than two refits succeeded"
+    if not results.profiles:
+        reasons["profiles"] = "none were asked for" if fit.success else f"the fit failed: {fit.result}"
     return reasons
 
 
-# --- report.md -----------------------------------------------------------------------------------
+# --- words ---------------------------------------------------------------------------------------
 
 
-def fit_as_markdown(report: Report, figures: Sequence[str] | None = None) -> str:
+def fit_in_words(results: FitResults) -> str:
+    """The report for the terminal."""
+    fit = results.fit
+    lines = list(fit.verdict)
+    for title, entries in _also_said(results).items():
+        lines += ["", f"{title}:", *(f"  {entry}" for entry in entries)]
+    lines += [short_steps_in_words(fit)] if fit.moved_by_steps else []
+    lines += [f"simulated data: {simulated}"] if (simulated := _simulated_names(fit)) else []
+    lines.append(f"kinematics: {fit.manipulator.kinematics}")
+    return "\n".join(lines + [f"warning: {warning}" for warning in fit.warnings])
+
+
+def fit_as_markdown(results: FitResults, figures: Sequence[str] | None = None) -> str:
     """The report: first in words what was determined and what was not, then the numbers.
 
     `figures` are the names of the figures beside it; None if no figures are made.
     """
-    fit = report.fit
-    several = len(fit.tables) > 1 or len(fit.noise) > 1
-    alone = [f"{name}: {determination_in_words(found)}" for name, found in fit.alone.items()] if several else []
+    fit = results.fit
     later = [warning for warning in fit.warnings if warning not in fit.remarks]  # remarks are in the first lines
     sections = [
-        _in_short(report),
+        _in_short(results),
         _goodness(fit),
-        _profile_section(report),
-        _bootstrap_section(report),
-        _bullets("What each table alone determines", alone),
-        _way_back_section(fit),
+        _correlation_section(fit),
+        _profile_section(results),
+        *(_bullets(title[0].upper() + title[1:], entries) for title, entries in _also_said(results).items()),
         _trial_section(fit),
-        _noise_section(report),
-        _bullets("Without a model of the body", _model_free_in_words(report)),
+        _noise_section(results),
+        _bullets("Without a model of the body", _model_free_in_words(results)),
         _bullets("Warnings", later),
         _bullets("What was stated about the bench", _stated(fit)),
-        _figure_section(report, figures),
+        _figure_section(results, figures),
         _bullets("How the files were read", [line for table in fit.tables for line in table.read_as]),
-        _repeat_section(report),
     ]
-    return "\n\n".join("\n".join(section) for section in sections if section) + "\n"
+    foot = "results.json holds what is needed to repeat this fit: manipulator, options, checksums, versions.\n"
+    return "\n\n".join("\n".join(section) for section in sections if section) + f"\n\n{foot}"
+
+
+def _also_said(results: FitResults) -> dict[str, list[str]]:
+    """What the terminal and the report say beside the verdict, by title."""
+    fit, said = results.fit, {}
+    for bootstrap in results.bootstraps:
+        entries = []
+        for name in moving_names(fit):
+            (scale, unit), (low, high) = shown_unit(name), bootstrap.confidence_interval[name]
+            error, bias = scale * bootstrap.standard_error[name], scale * bootstrap.bias[name]
+            interval = f"95 %: {scale * low:.5g} to {scale * high:.5g}{unit}"
+            entries.append(f"{name} +- {error:.2g}{unit} ({interval}), bias {bias:.2g}{unit}")
+        entries += [f"too narrow: {bootstrap.remark}"] if bootstrap.remark else []
+        lost = f", {bootstrap.num_failed} more failed" if bootstrap.num_failed else ""
+        said[f"bootstrap, {bootstrap.kind}, {len(bootstrap.estimates)} refits{lost}, seed {bootstrap.seed}"] = entries
+    if len(fit.tables) > 1:
+        alone = fit.alone.items()
+        said["each table alone determines"] = [f"{name}: {determination_in_words(found)}" for name, found in alone]
+    if (pull := fit.pull_alone) is not None and fit.success:
+        entries = [f"{name}: {error_in_words(pull, name)}, {error_in_words(fit, name)}" for name in own_names(fit)]
+        for name in fit.combinations:
+            both = (found.combinations.get(name) for found in (pull, fit))
+            errors = (f"{100 * e.standard_error / e.value:.2g} %" if e else "-" for e in both)
+            entries.append(f"{name}: {', '.join(errors)}")
+        said["standard errors of the pull alone, and with the way back"] = entries
+    return said
 
 
 def _section(title: str, lines: Sequence[str]) -> list[str]:
@@ -129,8 +324,8 @@ def _bullets(title: str, lines: Sequence[str]) -> list[str]:
     return _section(title, [f"- {line}" for line in lines])
 
 
-def _in_short(report: Report) -> list[str]:
-    fit, remarks = report.fit, report.fit.remarks
+def _in_short(results: FitResults) -> list[str]:
+    fit, remarks = results.fit, results.fit.remarks
     lines = [f"- {line}" for line in (*fit.verdict, *(text for text in fit.warnings if text in remarks))]
     if simulated := _simulated_names(fit):
         lines += ["", f"The data are simulated: {simulated}."]
@@ -177,11 +372,18 @@ def short_steps_in_words(fit: Fit) -> str:
     return f"The short steps of the history move the estimates by at most {most:.2g} of their standard errors."
 
 
-def _profile_section(report: Report) -> list[str]:
-    if not report.profiles:
+def _correlation_section(fit: Fit) -> list[str]:
+    names = correlated_names(fit)
+    places = [fit.names.index(name) for name in names]
+    rows = [[name, *(f"{fit.correlation[i, k]:.4f}" for k in places)] for name, i in zip(names, places, strict=True)]
+    return _section("Correlation", markdown_table(("parameter", *names), rows) if len(names) > 1 else [])
+
+
+def _profile_section(results: FitResults) -> list[str]:
+    if not results.profiles:
         return []
     rows = []
-    for name, profile in report.profiles.items():
+    for name, profile in results.profiles.items():
         scale, unit = shown_unit(name)
         ends = zip(profile.confidence_interval, profile.closed, profile.model_ends, strict=True)
         rows.append([name, *(_end_in_words(scale * end, unit, closed, gone) for end, closed, gone in ends)])
@@ -198,58 +400,12 @@ def _end_in_words(end: float, unit: str, closed: bool, model_ends: bool) -> str:
     return f"{end:.5g}{unit}"
 
 
-def _bootstrap_section(report: Report) -> list[str]:
-    lines = []
-    head = ("parameter", "standard error", "95 % interval", "bias")
-    for bootstrap in report.bootstraps:
-        drawn = (
-            "new noise about the model"
-            if bootstrap.kind == "parametric"
-            else "trials, or else rows, drawn with replacement"
-        )
-        lost = f", {bootstrap.num_failed} of them failed" if bootstrap.num_failed else ""
-        count = len(bootstrap.estimates) + bootstrap.num_failed
-        lines += [f"{bootstrap.kind.capitalize()} ({drawn}): {count} refits{lost}, seed {bootstrap.seed}.", ""]
-        rows = []
-        for name in moving_names(report.fit):
-            error, low, high, bias, unit = _shown_bootstrap(bootstrap, name)
-            rows.append([name, f"{error:.2g}{unit}", f"{low:.5g} to {high:.5g}{unit}", f"{bias:.2g}{unit}"])
-        lines += [*markdown_table(head, rows), ""]
-        lines += [f"**Too narrow:** {bootstrap.remark}.", ""] if bootstrap.remark else []
-    return _section("Bootstrap", lines[:-1])
-
-
-def _shown_bootstrap(bootstrap: Bootstrap, name: str) -> tuple[float, float, float, float, str]:
-    """Standard error, interval and bias of a parameter in the unit that engineers use, and that unit."""
-    scale, unit = shown_unit(name)
-    low, high = bootstrap.confidence_interval[name]
-    return scale * bootstrap.standard_error[name], scale * low, scale * high, scale * bootstrap.bias[name], unit
-
-
 def determination_in_words(determination: Determination) -> str:
     """One line."""
     parts = [f"{name} {status}" for name, status in determination.status.items() if not name.startswith(TRIALS)]
     together = determination.identified_together.items()
     parts += [f"{name} = {e.value:.4g} +- {e.standard_error:.2g} {unit_of(name)}" for name, e in together]
     return "; ".join(parts)
-
-
-def way_back_rows(fit: Fit) -> list[list[str]]:
-    """For each parameter and combination the standard errors of the pull alone and of all rows; [] without a turn."""
-    pull = fit.pull_alone
-    if pull is None or not fit.success:
-        return []
-    rows = [[name, error_in_words(pull, name), error_in_words(fit, name)] for name in own_names(fit)]
-    for name in fit.combinations:
-        both = (found.combinations.get(name) for found in (pull, fit))
-        rows.append([name, *(f"{100 * e.standard_error / e.value:.2g} %" if e else "-" for e in both)])
-    return rows
-
-
-def _way_back_section(fit: Fit) -> list[str]:
-    text = "Standard errors of the rows before the first turn of each trial, and of all rows:"
-    table = markdown_table(("parameter", "pull alone", "with the way back"), way_back_rows(fit))
-    return _section("What the way back adds", [text, "", *table] if way_back_rows(fit) else [])
 
 
 def _trial_section(fit: Fit) -> list[str]:
@@ -262,8 +418,8 @@ def _trial_section(fit: Fit) -> list[str]:
     return _section("Trials", [text, "", *table] if rows else [])
 
 
-def _noise_section(report: Report) -> list[str]:
-    fit = report.fit
+def _noise_section(results: FitResults) -> list[str]:
+    fit = results.fit
     head = ("data", "standard deviation", "made of", "normal: Shapiro-Wilk p")
     head += ("correlation from row to row of a hold", "count as independent")
     rows = []
@@ -273,7 +429,7 @@ def _noise_section(report: Report) -> list[str]:
         if label in fit.noise_model:
             floor, fraction = (part or 0.0 for part in fit.noise_model[label])
             made_of = f"{scale * floor:.3g} {unit} and {100 * fraction:.3g} % of the value"
-        tests = _or_dash(report.normality[label].p_value, ".2g"), _or_dash(alike.lag_one, ".2f")
+        tests = _or_dash(results.normality[label].p_value, ".2g"), _or_dash(alike.lag_one, ".2f")
         independent = f"{alike.num_effective:.0f} of {alike.num_readings}"
         rows.append([label, f"{scale * deviation:.3g} {unit}", made_of, *tests, independent])
     for label, deviation in fit.input_noise.items():
@@ -288,67 +444,35 @@ def _or_dash(value: float, form: str) -> str:
     return format(value, form) if np.isfinite(value) else "-"
 
 
-def _model_free_in_words(report: Report) -> list[str]:
+def _model_free_in_words(results: FitResults) -> list[str]:
     lines = []
-    for name, (friction, compared) in report.model_free.items():
+    for name, (friction, compared) in results.model_free.items():
         lines += [f"{name}: {line}" for line in friction.verdict]
         if compared is not None:
             agrees = f"the fit lies {abs(compared.z):.1f} standard errors from it"
             lines.append(f"{name}: {compared.sentence or agrees}")
-    for name, (loop, loss) in report.loops.items():
+    for name, (loop, loss) in results.loops.items():
         lines += [f"{name}: {line}" for line in loop.verdict]
         lines.append(f"{name}: the fit has {loss:.4g} 1/N")
     return lines
 
 
-def _figure_section(report: Report, figures: Sequence[str] | None) -> list[str]:
+def _figure_section(results: FitResults, figures: Sequence[str] | None) -> list[str]:
     """The figures, and why others are missing."""
     if figures is None:
         return []
     pictures = [f"![{name.replace('_', ' ')}]({name}.png)" for name in figures]
-    missing = [f"- No figure of {name.replace('_', ' ')}: {reason}." for name, reason in left_out(report).items()]
+    missing = [f"- No figure of {name.replace('_', ' ')}: {reason}." for name, reason in left_out(results).items()]
     between = [""] if pictures and missing else []
     return ["## Figures", "", *pictures, *between, *missing]
 
 
 def _stated(fit: Fit) -> list[str]:
-    places = [f"marker {n} of {t.name}: {m}" for t in fit.tables for n, m in t.markers.items()]
-    return [*fit.setting.in_words, *places]
-
-
-def _repeat_section(report: Report) -> list[str]:
-    fit = report.fit
-    rows = [[table.name, str(len(table)), f"`{table.checksum[:16]}`"] for table in fit.tables]
-    starts, seed, nodes = (fit.options[name] for name in ("starts", "seed", "nodes"))
-    starts = "as needed" if starts is None else starts
-    text = f"Kinematics {fit.manipulator.kinematics}, loss {fit.loss}, starts {starts}, seed {seed}, nodes {nodes}."
-    text += f" With history: {', '.join(fit.without_jitter)}." if fit.without_jitter else ""
-    courses = [one.course for one in fit.model.experiments if isinstance(one, Bench) and one.course is not None]
-    past = [words for course in courses for words in course.past_in_words]
-    past = past if len(set(past)) > 1 else past[:1]  # "rest", or where trials differ "rest, 80 N"
-    text += f" Before the first row: {', '.join(past)}." if fit.without_jitter else ""
-    text += " Holds were averaged." if any(table.spread is not None for table in fit.tables) else ""
-    text += " results.json holds what is needed to repeat this fit: manipulator, options, checksums, versions."
-    return _section("To repeat it", [*markdown_table(("data", "rows", "SHA-256, first digits"), rows), "", text])
-
-
-def fit_in_words(report: Report) -> str:
-    """The report for the terminal."""
-    fit = report.fit
-    lines = list(fit.verdict)
-    for bootstrap in report.bootstraps:
-        lines += ["", f"bootstrap, {bootstrap.kind}, {len(bootstrap.estimates)} refits:"]
-        for name in moving_names(fit):
-            error, low, high, _, unit = _shown_bootstrap(bootstrap, name)
-            lines.append(f"  {name} +- {error:.2g}{unit} (95 %: {low:.4g} to {high:.4g}{unit})")
-        lines += [f"  too narrow: {bootstrap.remark}"] if bootstrap.remark else []
-    if len(fit.tables) > 1:
-        lines += ["", "each table alone determines:"]
-        lines += [f"  {name}: {determination_in_words(determination)}" for name, determination in fit.alone.items()]
-    if rows := way_back_rows(fit):
-        lines += ["", "standard errors of the pull alone, and with the way back:"]
-        lines += [f"  {name}: {pull}, {loop}" for name, pull, loop in rows]
-    lines += [short_steps_in_words(fit)] if fit.moved_by_steps else []
-    lines += [f"simulated data: {simulated}"] if (simulated := _simulated_names(fit)) else []
-    lines.append(f"kinematics: {fit.manipulator.kinematics}")
-    return "\n".join(lines + [f"warning: {warning}" for warning in fit.warnings])
+    lines = [f"Kinematics {fit.manipulator.kinematics}, loss {fit.loss}.", *fit.setting.in_words]
+    lines += [f"marker {n} of {t.name}: {m}" for t in fit.tables for n, m in t.markers.items()]
+    if fit.without_jitter:
+        courses = [one.course for one in fit.model.experiments if isinstance(one, Bench) and one.course is not None]
+        past = [words for course in courses for words in course.past_in_words]
+        past = past if len(set(past)) > 1 else past[:1]  # "rest", or where trials differ "rest, 80 N"
+        lines.append(f"With history: {', '.join(fit.without_jitter)}. Before the first row: {', '.join(past)}.")
+    return lines + (["Holds were averaged."] if any(table.spread is not None for table in fit.tables) else [])

@@ -1,7 +1,7 @@
 """The figures and numbers of Liu et al. (2020), section IV, computed here, beside those that the paper prints."""
 
 import itertools
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -13,16 +13,16 @@ from ..errors import InputError
 from ..figures import looks, style as draw
 from ..figures.along import draw_along
 from ..figures.body import draw_force_arrows
-from ..figures.fit import by_level, draw_about_zero, draw_band, draw_levels
-from ..figures.geometry import planar_fields_along, stations
-from ..files.writing import as_json, markdown_table, picked, plain
+from ..figures.fit import by_level, draw_about_zero, draw_levels
+from ..files.writing import as_json, markdown_table
 from ..measurements.table import Measurements
-from ..progress import each, stage
+from ..progress import stage
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import Equilibrium
 from ..statics.literal_iteration import IterationHistory, iteration_history
 from ..statics.solve import solve
 from ..statics.status import Status
+from .report import Files, Report, rendered
 
 PULL = 75.0  # N, the base tension of Fig. 4, 5 and 6
 LIGHT_PULL = 10.0  # N, the other one of Fig. 6
@@ -54,19 +54,7 @@ class PaperResults(NamedTuple):
         return jax.tree.map(lambda x: x[np.searchsorted(HISTORY_PULLS, PULL)], self.history)
 
 
-class Reproduction(NamedTuple):
-    """What `reproduce` computes.
-
-    Attributes:
-        answer: content of reproduction.json: `table`, a list of rows in SI units, and `files`, the names of the files.
-        files: content by name: the figures, reproduction.md and reproduction.json.
-    """
-
-    answer: dict[str, object]
-    files: dict[str, str | bytes]
-
-
-def reproduce(manipulator: Manipulator, load_cells: Measurements) -> Reproduction:
+def reproduce(manipulator: Manipulator, load_cells: Measurements) -> Report:
     """The paper's Fig. 3, 4, 5, 6 and 8 (PDF and PNG), and a table of its numbers beside ours.
 
     Args:
@@ -89,15 +77,13 @@ def reproduce(manipulator: Manipulator, load_cells: Measurements) -> Reproductio
         "fig6_shapes": shapes_figure(results),
         "fig8_tip_tension": tip_tension_figure(results),
     }
-    contents: dict[str, str | bytes] = {}
-    for name in each("figure", list(figures)):
-        contents |= draw.render(figures[name], name)
     rows = compared_numbers(results)
     numbers = ("the paper", "ours", "difference")
     lines = markdown_table(("quantity", *numbers, "note"), [row.cells() for row in rows], right=numbers)
-    contents["reproduction.md"] = "\n".join(["# Liu et al. (2020), section IV, reproduced", "", *lines]) + "\n"
-    answer = {"table": plain([row.as_dict() for row in rows]), "files": [*contents, "reproduction.json"]}
-    return Reproduction(answer, contents | {"reproduction.json": as_json(answer)})
+    text = "\n".join(["# Liu et al. (2020), section IV, reproduced", "", *lines]) + "\n"
+    answer: dict[str, object] = {"table": [row._asdict() | {"difference": row.difference} for row in rows]}
+    texts: Files = {"reproduction.md": text, "reproduction.json": as_json(answer)}
+    return Report(text, answer, lambda: rendered(figures) | texts)
 
 
 @stage("solving")
@@ -198,17 +184,14 @@ def shapes_figure(results: PaperResults) -> Figure:
 def tip_tension_figure(results: PaperResults) -> Figure:
     """Fig. 8: tip over base tension, the model's line and the trials, and below them the difference of the two."""
     base, tip = results.base_tension, results.observed
-    trials, left = by_level(base, tip), by_level(base, tip - results.predicted)
     with draw.house_style():
         figure = draw.new_figure(draw.SINGLE_COLUMN, 3.6)
         axes, below = figure.subplots(2, sharex=True, height_ratios=(3, 1))
         axes.plot(PULLS, PULLS, ":", color=looks.GREY, label="no friction, $T_\\mathrm{tip} = T_\\mathrm{base}$")
         axes.plot(PULLS, results.tip_tension, color=looks.BLUE, label="model")
-        draw_band(axes, trials.x, trials.lowest, trials.highest, label=f"{results.trials}, range")
         draw_levels(axes, base, tip, label=f"{results.trials}, mean ± sd")
         axes.set(ylabel="Tip tension $T_\\mathrm{tip}$ (N)", ylim=(0, None), xlim=(0, None))
         axes.legend()
-        draw_band(below, left.x, left.lowest, left.highest)
         draw_about_zero(below, base, tip - results.predicted)
         below.set(xlabel="Base tension $T_\\mathrm{base}$ (N)", ylabel="Trials − model (N)")
         figure.align_ylabels()
@@ -218,66 +201,41 @@ def tip_tension_figure(results: PaperResults) -> Figure:
 # --- table ---------------------------------------------------------------------------------------
 
 
-# how a number is written: its SI unit, a factor, and a format that ends with the unit after this factor
-Form: TypeAlias = tuple[str, float, str]
-FRACTION, COUNT = ("", 100.0, "{:.2f} %"), ("", 1.0, "{:.0f}")
-FORCE, FORCE_PER_LENGTH = ("N", 1.0, "{:.2f} N"), ("N/m", 1.0, "{:.1f} N/m")
-LENGTH, ANGLE = ("m", 1e3, "{:.2f} mm"), ("rad", 180 / np.pi, "{:.2f}°")
-NO_NUMBER = "not comparable: no number printed"
-
-
 class ComparedNumber(NamedTuple):
-    """One number of the paper beside ours, in SI units; `paper` is None where the paper prints none."""
+    """One number of the paper beside ours: a fraction, or where the paper has a whole number a count."""
 
     name: str
     quantity: str
-    form: Form
+    paper: float
     ours: float
-    paper: float | None = None
-    comparable: bool = False
-    note: str = NO_NUMBER
+    note: str
+    comparable: bool = True
 
     @property
     def difference(self) -> float | None:
-        return self.ours - self.paper if self.comparable and self.paper is not None else None
-
-    def as_dict(self) -> dict[str, object]:
-        names = ("name", "quantity", "paper", "ours", "difference", "comparable", "note")
-        return {"unit": self.form[0]} | picked(self, names)
+        return self.ours - self.paper if self.comparable else None
 
     def cells(self) -> list[str]:
         """The cells of its row in the table."""
-        _, factor, form = self.form
-        numbers = (self.paper, self.ours, self.difference)
-        return [self.quantity, *("-" if n is None else form.format(factor * n) for n in numbers), self.note]
+        numbers, count = (self.paper, self.ours, self.difference), isinstance(self.paper, int)
+        shown = ("-" if n is None else f"{n:.0f}" if count else f"{100 * n:.2f} %" for n in numbers)
+        return [self.quantity, *shown, self.note]
 
 
 def compared_numbers(results: PaperResults) -> list[ComparedNumber]:
-    """The numbers of section IV that the paper prints, and those that its figures only show."""
-    fields = planar_fields_along(results.at_pull(PULL), stations(results.manipulator))
-    history = results.history_at_pull()
-    tip, updates = results.tip_tension[np.searchsorted(PULLS, PULL)], int(history.num_updates)
-    observed = results.observed
-    levels = len(by_level(results.base_tension, observed).x)
-    error = float(np.mean(np.abs(results.predicted - observed)[observed > 0] / observed[observed > 0]))
-    strongest = [np.max(np.linalg.norm(force[0], axis=-1)) for force in (fields.normal_force, fields.friction_force)]
-    x, y = map(float, fields.position[-1])
-    at = f"at {PULL:g} N"
+    """The numbers that section IV of the paper prints."""
+    loss = 1 - results.tip_tension[np.searchsorted(PULLS, PULL)] / PULL
+    updates = int(results.history_at_pull().num_updates)
+    levels = len(by_level(results.base_tension, results.observed).x)
+    there = results.observed > 0
+    error = float(np.mean(np.abs(results.predicted[there] / results.observed[there] - 1)))
     return [
-        ComparedNumber("tension_loss", f"tension loss {at}", FRACTION, 1 - tip / PULL, 0.40, comparable=True,
-            note='the paper: "about 40 %"; the difference is in percentage points'),
-        ComparedNumber("iterations", f"iterations {at}", COUNT, updates + 1, 6, comparable=True,
-            note=f'the paper: "6 iterations", which counts the start; ours: the start and {updates} updates'),
-        ComparedNumber("levels", "levels of base tension", COUNT, levels, 18, comparable=True,
-            note="5 to 85 N in 5 N steps, as the paper says too, are 17 levels"),
-        ComparedNumber("mean_error", "mean error of the tip tension", FRACTION, error, 0.1466,
-            note=f"not comparable: the paper's is against its measured trials, ours against {results.trials}"),
-        ComparedNumber("tip_tension", f"tip tension {at}", FORCE, tip),
-        ComparedNumber("tip_angle", f"tip angle {at}", ANGLE, float(fields.heading[-1])),
-        ComparedNumber("tip_x", f"tip position X {at}", LENGTH, x),
-        ComparedNumber("tip_y", f"tip position Y {at}", LENGTH, y),
-        ComparedNumber("normal_force", f"largest normal force {at}", FORCE_PER_LENGTH, strongest[0],
-            note=f"{NO_NUMBER}; ours by eq. (9)"),
-        ComparedNumber("friction_force", f"largest friction force {at}", FORCE_PER_LENGTH, strongest[1],
-            note=f"{NO_NUMBER}; ours by the second line of eq. (10), the one that closes eq. (13)"),
+        ComparedNumber("tension_loss", f"tension loss at {PULL:g} N", 0.40, loss,
+            'the paper: "about 40 %"; the difference is in percentage points'),
+        ComparedNumber("iterations", f"iterations at {PULL:g} N", 6, updates + 1,
+            f'the paper: "6 iterations", which counts the start; ours: the start and {updates} updates'),
+        ComparedNumber("levels", "levels of base tension", 18, levels,
+            "5 to 85 N in 5 N steps, as the paper says too, are 17 levels"),
+        ComparedNumber("mean_error", "mean error of the tip tension", 0.1466, error,
+            f"not comparable: the paper's is against its measured trials, ours against {results.trials}", False),
     ]  # fmt: skip

@@ -1,22 +1,47 @@
-"""The answer of `cddf solve`, in words and as plain numbers."""
+"""The answer of `cddf solve`."""
 
 from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import ArrayLike
 
-from ..files.writing import picked
+from ..files.manipulator_file import RobotFile
+from ..files.writing import as_json, picked
 from ..quantities import dimension_of
 from ..robot.loads import Loads, loads_as_dict
 from ..statics.contact import self_contact
 from ..statics.equilibrium import Equilibrium
 from ..statics.equilibrium_text import last_lines, strain_line, tendon_lines, tip_line
-from ..statics.status import Status, in_words
+from ..statics.status import Status, in_words, words_of
 from ..statics.targets import CurvatureAt, Target, TipPosition
 from ..sweeping.one_solve import OUTPUTS_OF
 from ..units import shown
+from .export import fields_csv, fields_on_grid
+from .report import Files, Report, rendered
 
 Entries = Sequence[float | Target] | TipPosition  # the tension (N) or target of each tendon, or the place of the tip
+
+
+def solve_report(
+    robot: RobotFile, equilibrium: Equilibrium, actuation: Entries, texts: Sequence[str], loads: Loads | None
+) -> Report:
+    """The equilibrium of a robot; `texts` are the tensions and targets as they were typed."""
+    answer = solve_as_dict(equilibrium, actuation, loads)
+    if robot.columns:
+        answer["cross_sections"] = {column.name: column.words for column in robot.columns}
+
+    def files() -> Files:
+        from ..figures.along import sections_figure
+        from ..figures.body import equilibrium_figure
+
+        figures = {"solve": equilibrium_figure(robot.manipulator, equilibrium, loads)}
+        if robot.columns:
+            figures["cross_sections"] = sections_figure(robot.columns)
+        table = fields_csv(fields_on_grid(equilibrium))
+        return {"solve.json": as_json(answer), "fields.csv": table} | rendered(figures)
+
+    failure = words_of(equilibrium.status) if equilibrium.status == Status.unstable else ""
+    return Report(solve_in_words(equilibrium, actuation, texts, loads), answer, files, failure)
 
 
 def solve_as_dict(equilibrium: Equilibrium, actuation: Entries, loads: Loads | None) -> dict[str, object]:

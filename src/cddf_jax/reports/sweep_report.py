@@ -1,11 +1,7 @@
 """How `cddf sweep` runs, where its results go, and what it prints: JSON in SI units, and words."""
 
-import platform
-import re
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from datetime import timedelta
-from importlib.metadata import version
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -20,17 +16,16 @@ from ..errors import InputError, in_utf8, within
 from ..progress import stage
 from ..robot.loads import loads_as_dict
 from ..statics.status import Status, words_of
-from ..statics.targets import Target
 from ..sweeping.export import blocks_of, is_short, labelled, write_csv, write_netcdf
 from ..sweeping.one_solve import RESULT, VERDICTS
 from ..sweeping.sweep import Sweep
 from ..units import DIMENSION_OF, shown
+from .report import versions
 
 if TYPE_CHECKING:
     import xarray
 
 NETCDF_MOST = 2**31 - 1  # bytes of one variable of a NetCDF 3 file, as SciPy writes it
-PACKAGES = ("cddf-jax", "jax", "jaxlib", "numpy", "equinox", "xarray", "zarr")
 
 
 class Places(NamedTuple):
@@ -75,7 +70,7 @@ def _check_places(places: Places, work: Sweep) -> None:
         total = 2 * layout.size * layout.bytes_each  # as it is read and as it is written
         if total > work.allowed:
             size, allowed = filesize.decimal(total), filesize.decimal(int(work.allowed))
-            raise InputError(f"--netcdf {netcdf}: takes {size} of memory, {allowed} are allowed; raise --memory")
+            raise InputError(f"--netcdf {netcdf}: takes {size} of memory, {allowed} are allowed; use the Zarr store")
     if csv is not None and not any(name not in VERDICTS and is_short(layout, name) for name in layout.variables):
         raise InputError(f"--csv {csv}: a table takes no outputs along the body; add one such as tip_tension")
 
@@ -109,7 +104,7 @@ def run_sweep(work: Sweep, places: Places, options: Mapping[str, object]) -> "tu
         **({} if work.loads is None else {"loads": loads_as_dict(work.loads)}),
         "options": {name: str(value) if isinstance(value, Path) else value for name, value in options.items()},
         "identity": work.identity,
-        "versions": {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
+        "versions": versions("xarray", "zarr"),
         "paths": {"store": in_utf8(places.store)},
     }
     return answer, summary
@@ -128,8 +123,7 @@ def _there_already(work: Sweep, store: Path) -> tuple[int, int]:
 def write_results(work: Sweep, answer: "xarray.Dataset", places: Places, summary: Json) -> None:
     """Write exports, figures and the JSON; their paths, and what they leave out, go into the summary."""
     from ..figures.style import render
-    from ..figures.sweep_labels import name_in_words
-    from ..figures.sweeps import left_out_of_figure, sweep_figure
+    from ..figures.sweeps import sweep_figure
     from ..figures.workspace import workspace_figure
     from ..files.writing import as_json, write_all
 
@@ -137,10 +131,13 @@ def write_results(work: Sweep, answer: "xarray.Dataset", places: Places, summary
         write_netcdf(answer, places.netcdf)
     if places.csv is not None:
         write_csv(work.layout, answer, places.csv)
-    varied = [name for axis in work.dimensions for name in (*axis.numbers, *axis.options)]
-    figure = sweep_figure(answer, work.outputs, {name: _target(work, name) or name_in_words(name) for name in varied})
     folder, stem = places.store.parent, places.store.stem
-    files = {} if isinstance(figure, str) else render(figure, stem)
+    drawn = [name for name in work.outputs if is_short(work.layout, name)]
+    no_figure, files = "", {}
+    try:
+        files = render(sweep_figure(answer, drawn), stem) if drawn else {}
+    except InputError as error:
+        no_figure = str(error)
     tips = answer.data_vars.get("tip_position")
     if tips is not None and tips.sizes["component"] == 3 and bool(tips.notnull().all("component").any()):
         try:
@@ -153,24 +150,13 @@ def write_results(work: Sweep, answer: "xarray.Dataset", places: Places, summary
         "store": in_utf8(places.store),
         "json": in_utf8(folder / name),
         "figures": [in_utf8(folder / file) for file in files],
-        "no_figure": figure if isinstance(figure, str) else None,
-        "left_out": left_out_of_figure(answer, work.outputs) if files else [],
-        "not_in_csv": [name for name in work.outputs if not is_short(work.layout, name)] if places.csv else [],
+        "no_figure": no_figure,
+        "only_in_store": [name for name in work.outputs if name not in drawn],
         "netcdf": places.netcdf and in_utf8(places.netcdf),
         "csv": places.csv and in_utf8(places.csv),
     }
     write_all(folder, {**files, name: as_json(summary | {"paths": paths})})
     summary["paths"] = paths
-
-
-def _target(work: Sweep, name: str) -> str:
-    """The quantity of a target in words, if a number is the value of a target."""
-    found = re.fullmatch(r"base_tension(?:_(\d+))?\.value", name)
-    if not found:
-        return ""
-    given = work.base_tension
-    target = given[int(found[1]) - 1] if found[1] and isinstance(given, Sequence) else given
-    return f"Target {target.quantity.replace('_', ' ')}" if isinstance(target, Target) else ""
 
 
 def _axes(work: Sweep) -> list[Json]:
@@ -232,20 +218,14 @@ def summary_in_words(summary: Json) -> str:
     total, before, paths = summary["solves"], summary["solves_there_before"], summary["paths"]
     counts = ", ".join(f"{count:,} {name.replace('_', ' ')}" for name, count in summary["results"].items())
     some = f", {before:,} there already, {total - before:,} more" if before else ""
-    seconds, rate = summary["seconds"], (total - before) / summary["seconds"]
-    speed = f"{rate:,.0f} a second" if rate >= 10 else f"{rate:.2g} a second"
-    lasted = f"{seconds:.2g} s" if seconds < 10 else f"{timedelta(seconds=round(seconds))} h"  # "2.1 s", "1:02:03 h"
-    how = f"{some} in {lasted} with compiling, {speed}" if before < total else ", all there already"
+    how = f"{some} in {summary['seconds']:.3g} s" if before < total else ", all there already"
     lines = [f"{total:,} solve{'s' if total > 1 else ''}{how}: {counts}"]
     failed = [name for name in summary["results"] if name != "successful"]
     lines += [f"{name.replace('_', ' ')}: {words_of(Status[name])}" for name in failed]
     lines += _ranges(summary["outputs"])
-    for what, entries in (
-        ("no figure", paths.get("no_figure")),
-        ("not in the table, as they run along the body", ", ".join(paths.get("not_in_csv", ()))),
-        ("not in the figure", "; ".join(paths.get("left_out", ()))),
-    ):
-        lines += [f"{what}: {entries}"] if entries else []
+    lines += [f"no figure: {paths['no_figure']}"] if paths.get("no_figure") else []
+    if along := ", ".join(paths.get("only_in_store", ())):
+        lines.append(f"in no figure or table, as they run along the body: {along}")
     written = [paths["store"], *paths.get("figures", ()), *(paths.get(kind) for kind in ("json", "netcdf", "csv"))]
     return "\n".join([*lines, f"written: {', '.join(path for path in written if path)}"])
 

@@ -1,4 +1,4 @@
-"""The answer of `cddf trace`, in words, as plain numbers and as files."""
+"""The answer of `cddf trace`."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -8,7 +8,8 @@ import numpy as np
 
 from ..errors import SolveError
 from ..files.csv_table import table_csv
-from ..history.history import GOOD, STEPS, History, last_line, listed, steps_in_words
+from ..files.writing import as_json
+from ..history.history import GOOD, STEPS, History, last_line, steps_in_words
 from ..history.stepped import ACCURACY, SteppedStates
 from ..history.trace import trace
 from ..numerics.arrays import evaluated
@@ -19,10 +20,10 @@ from ..statics.status import Status, words_of
 from ..statics.targets import Displacement, TipAngle
 from ..units import Dimension, shown
 from .export import POINTS, field_columns, history_columns, history_numbers
+from .report import Files, Report, rendered
 
 FINE = 256  # steps, at least, so that loops are smooth, and one program serves most paths
 FINE_IN_STEPS = 64  # the same in space, and with several tendons or loads
-SAME = 1e-9  # relative difference up to which two states count as the same
 SEEN = 1e-5  # of the work: a larger difference from the sum of its parts is reported
 # by the dimension of a path, what `trace` takes
 TARGETS: dict[Dimension, Callable[[np.ndarray], np.ndarray | Displacement | TipAngle]] = {
@@ -47,21 +48,12 @@ class TracedPath(NamedTuple):
         return {name: values[self.steps] for name, values in self.numbers.items()}
 
 
-class Cycle(NamedTuple):
-    """A part of a path that ends in the state in which it began."""
-
-    first: int  # steps, from 1
-    last: int
-    loss: float  # J
-
-
 def traced(
     manipulator: Manipulator,
     paths: Sequence[Sequence[float]],
     driven: Sequence[Dimension],
     loads: Loads | None,
     nodes: int,
-    max_turns: int,
     short_steps: int,
     before: Sequence[float] | None = None,
 ) -> TracedPath:
@@ -74,7 +66,7 @@ def traced(
             tendon alone tip angles, rad, after each step; not all 0.
         driven: what each of them is, "force", "length" or "angle".
         loads: that act before the first step, and stay constant.
-        nodes, max_turns: as `trace` takes them.
+        nodes: as `trace` takes them.
         short_steps: as `trace` takes them, for each point.
         before: the largest base tension of each tendon before the paths, N; None for rest.
     """
@@ -86,8 +78,8 @@ def traced(
     values, steps = _with_points_between(np.array(paths).T, start, fine)
     with stage("tracing"):
         if is_exact:
-            options = {"before": "rest" if before is None else before[0], "max_turns": max_turns}
-            history = trace(manipulator, TARGETS[driven[0]](values[:, 0]), nodes=nodes, throw=False, **options)
+            past = "rest" if before is None else before[0]
+            history = trace(manipulator, TARGETS[driven[0]](values[:, 0]), before=past, nodes=nodes, throw=False)
         else:
             columns = [Displacement(x) if kind == "length" else x for x, kind in zip(values.T, driven, strict=True)]
             given = columns if "length" in driven else values
@@ -119,39 +111,32 @@ def _check(history: History, steps: np.ndarray, values: np.ndarray, driven: Sequ
     raise SolveError(f"step {step + 1}, on the way to {to}, at {at}: {words}")
 
 
-def cycles(states: dict[str, np.ndarray]) -> list[Cycle]:
-    """The cycles of a path, each from the nearest earlier step with the same state. No two cycles overlap in part."""
-    found: list[Cycle] = []
-    state = np.column_stack([states[name] for name in ("base_tension", "tip_tension", "tip_angle", "stored_energy")])
-    near, loss = SAME * np.max(np.abs(state), axis=0), states["friction_loss"]
+def trace_report(found: TracedPath) -> Report:
+    """What slid in each step of a path, the states after the steps, and where the work went."""
+    answer = trace_as_dict(found)
 
-    def are_one(step: int, other: int) -> bool:
-        return bool(np.all(np.abs(state[step] - state[other]) <= near))
+    def files() -> Files:
+        from ..figures.history import history_figure
 
-    for last in range(1, len(state)):
-        earlier = () if are_one(last, last - 1) else reversed(range(last - 1))
-        for first in earlier:
-            apart = all(cycle.last <= first + 1 or cycle.first >= first + 1 for cycle in found)
-            if apart and are_one(last, first):
-                found.append(Cycle(first + 1, last + 1, float(loss[last] - loss[first])))
-                break
-    return found
+        moved = np.ptp(found.states["base_tension"].reshape(len(found.steps), -1), axis=0)  # by each tendon
+        figure = history_figure(found.manipulator, found.history, found.steps, tendon=int(np.argmax(moved)))
+        tables = {"loop.csv": loop_csv(found), "fields.csv": fields_csv_of_steps(found)}
+        return {"trace.json": as_json(answer)} | tables | rendered({"trace": figure})
+
+    return Report(trace_in_words(found), answer, files)
 
 
 def trace_as_dict(found: TracedPath) -> dict[str, object]:
-    """The states after the steps of a path, its closed cycles and its loads, SI units, for JSON."""
+    """The states after the steps of a path, and its loads, SI units, for JSON."""
     results = [Status(code).name for code in np.asarray(found.history.status)[found.steps]]
     steps = np.arange(1, len(found.steps) + 1)
     loads = {} if found.loads is None else {"loads": loads_as_dict(found.loads)}
-    return {"steps": steps, "results": results, **found.states, "cycles": cycles(found.states), **loads}
+    return {"steps": steps, "results": results, **found.states, **loads}
 
 
 def trace_in_words(found: TracedPath) -> str:
-    """What slid in each step, the state after it, the cycles that closed, and where the work went."""
+    """What slid in each step, the state after it, and where the work went."""
     states, lines = found.states, steps_in_words(found.history, found.steps)
-    for cycle in cycles(states)[-STEPS:]:
-        tension, loss = listed(states["base_tension"][cycle.last - 1], "force"), shown(cycle.loss, "energy")
-        lines.append(f"cycle from step {cycle.first} to {cycle.last}, closed at {tension}: {loss} lost")
     rest = "by the published kinematics" if found.manipulator.kinematics == "published" else "by the short steps"
     work, stored, lost = (float(states[name][-1]) for name in ("work", "stored_energy", "friction_loss"))
     parts = [f"{shown(stored, 'energy')} stored", f"{shown(lost, 'energy')} lost to friction"]
