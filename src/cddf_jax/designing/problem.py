@@ -21,7 +21,6 @@ from .load_cases import LoadCase, alike, stacked
 from .objectives import Objective
 
 Answer = TypeVar("Answer", bound=PyTree)
-Part = Float[Array | np.ndarray, " _"]  # of a vector
 USABLE = (  # with which a search can go on
     *(Status.successful, Status.direction_contradicted, Status.crossing),
     *(Status.inaccurate, Status.unstable),
@@ -34,7 +33,7 @@ class Term(eqx.Module):
     objective: Objective
     weight: Scalar
     reference: Scalar  # its size at the start, relative to which it counts
-    most: Scalar | None  # a level that it must not exceed, SI
+    most: Scalar | None = None  # a level that it must not exceed, SI; infinite for none
 
 
 class DesignEvaluation(NamedTuple):
@@ -82,7 +81,7 @@ class DesignProblem(eqx.Module):
         weights = jnp.stack([jnp.asarray(case.weight) for case in self.cases])
         return weights / jnp.sum(weights)
 
-    def split(self, unknowns: Vector) -> tuple[Part, Part]:
+    def split(self, unknowns: Vector) -> tuple[Vector, Vector]:
         """The scaled free numbers, and the heights of the peaks."""
         count = len(self.free.names)
         return unknowns[:count], unknowns[count:]
@@ -160,16 +159,12 @@ class DesignProblem(eqx.Module):
                 below.append(height - jnp.ravel(aim) / term.reference)
             else:
                 total += term.weight / term.reference * self.mean(aim)
+            if term.most is not None:  # how far it is below its level
+                room = (term.most - jnp.ravel(aim if i in self.peaks else self.mean(aim))) / term.reference
+                below.append(jnp.where(jnp.isinf(term.most), 1.0, room))
         none = jnp.zeros((0,), total.dtype)
-        capped = [self.below_level(i, aim) for i, aim in enumerate(found.aims) if self.terms[i].most is not None]
-        inequality = jnp.concatenate([none, *map(jnp.ravel, found.margins), *capped, *below])
+        inequality = jnp.concatenate([none, *map(jnp.ravel, found.margins), *below])
         return ProgramValues(total, inequality, jnp.concatenate([none, *map(jnp.ravel, found.zeros)])), found
-
-    def below_level(self, i: int, aim: Array | np.ndarray) -> Part:
-        """How far an objective is below its level, scaled."""
-        term = self.terms[i]
-        assert term.most is not None
-        return (term.most - jnp.ravel(aim if i in self.peaks else self.mean(aim))) / term.reference
 
     def over_the_cases(self, i: int, aim: Array | np.ndarray) -> Float[Array, ""]:
         """One value of an objective over the cases: for a peak the largest, else the weighted mean."""

@@ -16,12 +16,11 @@ from ..files.cross_sections import in_one_line
 from ..files.manipulator_file import check_keys, read_robot_file, read_toml
 from ..robot.loads import gravity_in_words
 from ..robot.manipulator import Manipulator
-from ..robot.named_numbers import unit_of_name
 from ..robot.profiles import Linear, Profile, Spline
-from ..units import DIMENSION_OF, Dimension, quantity
+from ..units import Dimension, quantity
 from .body_quantities import BODY_QUANTITIES, quantity_named
 from .design import DesignOptions, design
-from .free_numbers import numbers_under
+from .free_numbers import dimension_of_number, numbers_under
 from .limits import Limit
 from .load_cases import LoadCase, case_numbers, uncertain_cases
 from .objectives import Even, Least, Most, Near, Objective
@@ -141,7 +140,7 @@ def _free(
                 raise InputError(f'write {{ bounds = ["8 mm", "25 mm"] }}, got {entry!r}')
             _check("free", entry)
             numbers_under(used.of(body), name)
-            dimension = DIMENSION_OF[unit_of_name(name)]
+            dimension = dimension_of_number(name)
             if "knots" in entry or "taper" in entry:
                 body = _formed(body, name, entry)
             if "bounds" in entry:
@@ -188,7 +187,7 @@ def _case(table: Table, body: Manipulator, gravity: tuple[float, ...] | None) ->
         read_actuation([str(text) for text in texts], body, called=str),
         read_loads(**loads, mounted=gravity, called=str),
         read_directions(direction if isinstance(direction, list | None) else [direction], body, called=str),
-        {name: quantity(value, DIMENSION_OF[unit_of_name(name)], name) for name, value in numbers.items()},
+        {name: quantity(value, dimension_of_number(name), name) for name, value in numbers.items()},
         quantity(table.get("weight", 1.0), "dimensionless", "weight"),
         str(table.get("name", "")),
         _pair(table["loop"], "force", "loop") if "loop" in table else None,
