@@ -1,9 +1,8 @@
 """The public names of cddf_jax: each one once, where it is defined."""
 
 from .designing.design import DesignOptions as DesignOptions, design as design
-from .designing.limits import Limit as Limit
 from .designing.load_cases import LoadCase as LoadCase, uncertain_cases as uncertain_cases
-from .designing.objectives import Even as Even, Least as Least, Most as Most, Near as Near
+from .designing.objectives import Even as Even, Least as Least, Limit as Limit, Most as Most, Near as Near
 from .designing.pareto import ParetoFront as ParetoFront, pareto_front as pareto_front
 from .designing.results import Design as Design
 from .errors import InputError as InputError, SolveError as SolveError

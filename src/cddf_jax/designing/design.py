@@ -19,9 +19,8 @@ from ..statics.status import words_of
 from ..units import quantity
 from .body_quantities import OF_RADII
 from .free_numbers import Bounds, FreeNumbers, free_numbers_of
-from .limits import Limit
 from .load_cases import LoadCase, case_numbers
-from .objectives import Even, Least, Objective
+from .objectives import Even, Least, Limit, Objective
 from .problem import USABLE, DesignEvaluation, DesignProblem, Term
 from .results import Design, design_of, displayed
 from .search import WANDERING, DesignSearch

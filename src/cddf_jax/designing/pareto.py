@@ -12,8 +12,8 @@ from ..robot.manipulator import Manipulator
 from ..units import Dimension
 from .design import Aim, DesignOptions, problem_of, weighted
 from .free_numbers import Bounds
-from .limits import Limit
 from .load_cases import LoadCase
+from .objectives import Limit
 from .problem import DesignProblem
 from .results import Design, design_of, indifference_in_words
 from .search import DesignSearch, SearchResult, indifferent

@@ -10,8 +10,7 @@ import numpy as np
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import Equilibrium
 from ..statics.status import Status, words_of
-from ..units import Dimension, shown
-from .body_quantities import loop_in_short_steps
+from ..units import Dimension
 from .constrained import ACTIVE, TOLERANCE, LocalMinimum
 from .load_cases import LoadCase
 from .problem import DesignEvaluation, DesignProblem, pieces_of
@@ -157,7 +156,6 @@ def design_of(
         remarks=(
             *(f"{case.name or 'the load case'}: {words_of(code)}" for case, code in codes if code != Status.successful),
             *outcome.remarks,
-            *loops_in_words(problem, outcome.z),
             *indifference_in_words(problem, same),
         ),
         outcome=outcome,
@@ -178,21 +176,6 @@ def design_result(local: LocalMinimum, violation: float, *, has_answer: bool) ->
 def indifference_in_words(problem: DesignProblem, same: tuple[int, ...]) -> list[str]:
     """That no free number changes some objectives."""
     return [f"{problem.terms[i].objective} is the same for all bodies that were tried within the bounds" for i in same]
-
-
-def loops_in_words(problem: DesignProblem, z: np.ndarray) -> list[str]:
-    """The error estimates of loops that are followed in short steps, in words."""
-    wanted = (*(term.objective for term in problem.terms), *problem.limits)
-    if not any(part.known.name == "hysteresis" for part in wanted):
-        return []
-    found = []
-    for case in problem.cases:
-        if (loop := loop_in_short_steps(problem.view(z, case))) is not None:
-            error = shown(np.max(np.asarray(loop.error_estimate)), "angle")
-            words = f"the loop of the tip angle is followed in short steps, with an error estimate of {error}"
-            more = ", which is inaccurate; raise nodes" if np.any(loop.status == Status.inaccurate) else ""
-            found.append(f"{case.name or 'the load case'}: {words}{more}")
-    return found
 
 
 def unit_of_objective(problem: DesignProblem) -> float:

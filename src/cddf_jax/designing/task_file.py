@@ -21,9 +21,8 @@ from ..units import Dimension, quantity
 from .body_quantities import BODY_QUANTITIES, quantity_named
 from .design import DesignOptions, design
 from .free_numbers import dimension_of_number, numbers_under
-from .limits import Limit
 from .load_cases import LoadCase, case_numbers, uncertain_cases
-from .objectives import Even, Least, Most, Near, Objective
+from .objectives import Even, Least, Limit, Most, Near, Objective
 from .pareto import ParetoFront, pareto_front
 from .results import Design
 
