@@ -1,6 +1,6 @@
 """Moves of sliders, for the tests of what the explorer remembers."""
 
-from cddf_jax.explorer.past_moves import PastMoves, after_move
+from cddf_jax.explorer.past import PastMoves, after_move
 
 FIRST, SECOND, FORCE, GRAVITY, MODULUS = (
     "base_tension_1",
@@ -19,7 +19,7 @@ def past_of(explored, *moves):
         numbers = {} if move == FORGET else move
         past = PastMoves() if move == FORGET else past
         settings = settings._replace(numbers={**settings.numbers, **numbers})
-        past = after_move(past, explored.manipulator, explored.controls, settings)
+        past = after_move(past, explored, settings)
     return past
 
 

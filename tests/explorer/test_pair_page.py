@@ -8,8 +8,8 @@ from bodies import paper_body
 from pages import opened_page, served, wait_for
 
 import cddf_jax as cddf
-from cddf_jax.explorer.loop import SHORT_STEPS
 from cddf_jax.explorer.model import Exploration
+from cddf_jax.explorer.past import SHORT_STEPS
 from cddf_jax.files.manipulator_file import manipulator_text
 
 pytestmark = pytest.mark.browser

@@ -10,7 +10,7 @@ from places import DATA
 
 import cddf_jax as cddf
 from cddf_jax.explorer.model import Exploration
-from cddf_jax.explorer.past_moves import NUM_LEGS, SetPoint, corners, gone_on, remembered, why_no_loop
+from cddf_jax.explorer.past import NUM_LEGS, gone_on, remembered, why_no_loop
 from cddf_jax.measurements.table import Measurements
 
 G = np.linspace(0.0, 9e-3, 50)  # the widths of the plays along the paper's body, 1/N
@@ -99,21 +99,6 @@ def test_another_body_with_one_tendon_keeps_the_turns(one):
     under_load = past_of(one, {FORCE: -0.1}, {FIRST: 40.0}, {MODULUS: 1.5})
     assert under_load.body_changed
     assert tensions_of(under_load) == [(40.0,)]
-
-
-def test_what_lies_on_the_way_is_no_corner(pair):
-    past = past_of(pair, {SECOND: 10.0}, {SECOND: 20.0}, {FIRST: 70.0}, {FIRST: 60.0}, {FIRST: 65.0}, {FORCE: -0.1})
-    tensions = [point.tension for point in corners(past.points)]
-    assert tensions == [(75.0, 0.0), (75.0, 20.0), (60.0, 20.0), (65.0, 20.0), (65.0, 20.0)]
-    # the first part begins at rest, under the loads of the first point
-    pulled = [SetPoint((tension, 0.0), (1.0,)) for tension in (40.0, 75.0)]
-    assert corners(pulled) == pulled[1:]
-
-
-def test_before_a_load_one_tendon_is_known_by_its_turns(one):
-    """75, 40, 60, 50, 30 N: the loop of 60 and 50 N has closed."""
-    past = past_of(one, {FIRST: 40.0}, {FIRST: 60.0}, {FIRST: 50.0}, {FIRST: 30.0}, {FORCE: -0.1})
-    assert [point.tension for point in corners(past.points)] == [(75.0,), (30.0,), (30.0,)]
 
 
 def test_where_there_is_no_loop_the_reason_is_said(one, pair):

@@ -25,8 +25,8 @@ from ..mechanics.fields import in_the_plane
 from ..quantities import QUANTITIES
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
-from .answers import Curve, Picture
-from .loop import Loop
+from .model import Curve, Picture
+from .past import Loop
 
 Look: TypeAlias = dict[str, Any]  # what Bokeh takes for properties of a glyph: colours, widths, names of columns
 Plot: TypeAlias = Any  # a Bokeh figure, whose attributes type checkers do not know
@@ -312,7 +312,7 @@ class TensionPlots:
             base, tip, angle = loop.over_tension
             self.loops["tension"].data = {"base": base, "value": tip}
             self.loops["angle"].data = {"base": base, "value": np.degrees(angle)}
-            now = loop.rows.base_tension[-1], loop.rows.tip_tension[-1]
+            now = loop.base_tension[-1], loop.tip_tension[-1]
             self.points["tension"]["past"].data = _points([(*now, BLACK)])
             self.points["angle"]["past"].data = _points([(base[-1:], np.degrees(angle[-1:]), BLACK)])
         for fig in self.figures.values():

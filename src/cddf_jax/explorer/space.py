@@ -13,8 +13,8 @@ from ..figures.looks import BLACK, GREY, PALE, PURPLE
 from ..measurements.markers import marker_column
 from ..robot.manipulator import Manipulator
 from ..units import round_number
-from .answers import Picture
-from .loop import Loop
+from .model import Picture
+from .past import Loop
 from .plots import MARKS, Columns, Look, Plot, TableColumns, bare_figure, look_of_legend, show_named, tendon_look
 
 DRAW, TURN = (Path(__file__).with_name(f"{name}.js").read_text(encoding="utf-8") for name in ("space", "turn"))

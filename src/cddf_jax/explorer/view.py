@@ -16,22 +16,20 @@ from ..errors import InputError, SolveError
 from ..quantities import QUANTITIES
 from ..robot.cross_section import Kinematics
 from ..robot.manipulator import KINEMATICS
-from .answers import Curve, Picture
 from .controls import from_si, rounded
-from .loop import Loop
-from .model import Exploration, Settings
+from .model import Curve, Exploration, Picture, Settings
 from .parts import column, grid, plot, slider, title, words
-from .past_moves import PastMoves
-from .past_part import PastPart
+from .past import Follower, Loop, PastMoves, SetPoint, after_move, why_no_loop, why_not
 from .plots import AlongPlots, BodyPlot, TableColumns, TensionPlots
 from .space import SpacePlot
-from .words import lines_html, numbers_html, tapers_html
+from .words import lines_html, loop_html, numbers_html, paragraph, tapers_html
 
 if TYPE_CHECKING:
     from ..identification.fit import Fit
 
 SLIDES = {"as found": 0, "slides in": 1, "slides out": -1}
 COMPILED: set[tuple[object, int]] = set()  # structures of cases with the number of arc lengths
+FOLLOWING = "Following the path from rest, some seconds ..."
 COMPILING = "Compiling for this kind of body and load, some seconds ..."
 
 Say: TypeAlias = Callable[[str, str], None]  # a line of text and its kind, "error", "busy" or "" for none
@@ -60,7 +58,7 @@ class ExplorerView:
         self.settings: Settings = exploration.start
         self.picture: Picture | None = None
         self.fitted: Fit | None = None
-        self.memory = PastPart(exploration, self.change)
+        self.past, self.follower = PastMoves(), Follower(exploration)
         body, s = exploration.manipulator, exploration.arc_length
         self.several = body.num_tendons > 1
         self.body = SpacePlot(body) if body.in_space else BodyPlot(body, s)
@@ -76,7 +74,7 @@ class ExplorerView:
             "body": [plot(self.body.figure), *turned],
             "numbers": [self.numbers],
             "along": [grid(*map(plot, (*self.body.views, *self.along.figures.values())), least=230)],
-            "past": self.memory.parts,
+            "past": self._past_parts(),
             "what_if": [self.what_if],
         }
         self.drawn = {name: column(*part) for name, part in parts.items()}
@@ -115,6 +113,12 @@ class ExplorerView:
             name="Set the sliders to the fit", visible=False, on_click=lambda _: self._take_over()
         )
         self.fit_button.disabled = not self.exploration.tables
+
+    def _past_parts(self) -> list[pn.viewable.Viewable]:
+        """The text about the past, and the button that forgets it where there may be something to forget."""
+        self.past_text, body = words("past"), self.exploration.manipulator
+        button = pn.widgets.Button(name="Forget the past", on_click=lambda _: self.forget())
+        return [self.past_text, *([] if why_not(body, SetPoint((0.0,) * body.num_tendons, ())) else [button])]
 
     def _downloads(self) -> list[pn.widgets.FileDownload]:
         labels = {
@@ -176,7 +180,12 @@ class ExplorerView:
     def _start_again(self) -> None:
         """Go back to the numbers of the file, without a past."""
         self.move_to(self.exploration.start)
-        self.memory.forget()
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin the past again with a pull from rest to what is set."""
+        self.past = PastMoves(tendon=self.past.tendon)
+        self.change()
 
     def change(self) -> None:
         """Solve for the present positions of the sliders."""
@@ -184,8 +193,8 @@ class ExplorerView:
         directions = tuple(widget.value or None for widget in self.directions)
         self.settings = Settings(numbers, directions, self.kinematics.value)
         self._mark("computing", True, self.drawn)
-        past = self.memory.after_move(self.settings)
-        wanted = self.settings, float(self.angle.value or 0.0), past
+        self.past = after_move(self.past, self.exploration, self.settings)
+        wanted = self.settings, float(self.angle.value or 0.0), self.past
         self.threads.pictures.submit(self._guarded, self._draw, *wanted)
 
     def _guarded(self, function: Callable[..., None], settings: Settings, *arguments: object) -> None:
@@ -236,14 +245,20 @@ class ExplorerView:
 
     def _remember(self, settings: Settings, picture: Picture, past: PastMoves) -> None:
         """Show the loop of the tension that is moved, or why there is none."""
-        say = partial(self._on_page, setattr, self.memory.text, "object")
-        if (found := self.memory.found(picture.case.manipulator, past, say)) is not None:
-            self._on_page(self._show_loop, settings, *found)
+        body = picture.case.manipulator
+        if reason := why_no_loop(body, past):
+            self._on_page(self._show_loop, settings, None, paragraph(reason))
+            return
+        if not self.follower.knows(past):
+            self._on_page(setattr, self.past_text, "object", paragraph(FOLLOWING))
+        loop = self.follower.loop(body, past, lambda: self.past.goes_on_from(past))
+        if loop is not None:  # else it was forgotten meanwhile
+            self._on_page(self._show_loop, settings, loop if loop.shown else None, loop_html(loop))
 
     def _show_loop(self, settings: Settings, loop: Loop | None, text: str) -> None:
         self.tension.show_loop(loop)
         self.body.show_loop(loop)
-        self.memory.text.object = text
+        self.past_text.object = text
         self._done(settings, ["past"])
 
     def _on_page(self, function: Callable[..., None], *arguments: object) -> None:

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Array
 
 from ..statics.status import Status, in_words, words_of
-from .answers import Picture, Taper
-from .loop import Loop
+from .model import Picture, Taper
+from .past import Loop
 from .plots import tendon_look
 
 DOUBTFUL = (
@@ -70,16 +70,16 @@ def loop_html(loop: Loop) -> str:
     """The present state with its past."""
     if not loop.shown:
         return paragraph(lost(loop.state.status))
-    tips, name = loop.rows.tip_tension[-1], "past_tip_tension"
+    tips, name = loop.tip_tension[-1], "past_tip_tension"
     tensions = " and ".join(_number(f"{name}_{i}", f"{tip:.4f}", "N") for i, tip in enumerate(tips, 1))
-    angle = _number("past_tip_angle", f"{np.degrees(loop.rows.tip_angle[-1]):.3f}", "deg")
+    angle = _number("past_tip_angle", f"{np.degrees(loop.tip_angle[-1]):.3f}", "deg")
     front = _number("front", f"{1e3 * loop.state.front[loop.tendon]:.2f}", "mm")
     which = "The tendon" if len(tips) == 1 else f"Tendon {loop.tendon + 1}"
     text = f"With its past (purple): {tensions} at the tip, {angle}. {which} slid last up to {front} from the base. "
     if not loop.by_turns:
         error = _number("past_error_estimate", f"{loop.state.error_estimate:.1e}", "")
         text += f"Error estimate {error.strip()}. Loads are steps of this path. Another body begins a new path. "
-    from_zero = len(tips) > 1 and bool(np.any(loop.rows.base_tension == 0.0))
+    from_zero = len(tips) > 1 and bool(np.any(loop.base_tension == 0.0))
     warning = "" if loop.state.status == Status.successful else paragraph(DOUBTFUL + UNDETERMINED * from_zero)
     return f"{warning}<p>{text}All other numbers are those of a pull from rest.</p>"
 
