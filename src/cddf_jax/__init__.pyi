@@ -78,7 +78,7 @@ from .statics.targets import (
     TipTension as TipTension,
     TotalTension as TotalTension,
 )
-from .sweeping.sampling import latin_hypercube as latin_hypercube, sobol as sobol
+from .sweeping.axes import latin_hypercube as latin_hypercube, sobol as sobol
 from .sweeping.sweep import sweep as sweep
 
 __version__: str

@@ -460,7 +460,6 @@ WRONG = [
     ((*TENSIONS, "--samples", "4", "--sample", "nodes=8:16"), "--sample nodes: only numbers have a range"),
     ((*TENSIONS, "--sampler", "dice"), "Invalid value for '--sampler'"),
     ((*TENSIONS, "--output", "tip_tention"), "sweep: 'tip_tention' is not an output"),
-    ((*TENSIONS, "--precision", "float16"), "Invalid value for '--precision'"),
     ((*TENSIONS, "--memory", "2"), "--memory '2': write a number above 0 and one of B, kB"),
     ((*TENSIONS, "--memory", "60 B"), "sweep: one solve needs "),
     (("--over", "base_tension=1N:2N:1000000000000"), "--over base_tension: 1000000000000 values are more than"),

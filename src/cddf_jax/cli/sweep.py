@@ -141,7 +141,6 @@ def sweep(
     nodes: options.Nodes = 16,
     output: Output = ["tip_tension,tip_position,tip_angle"],  # noqa: B006  # it is only read
     sensitivity: Sensitivity = None,
-    precision: Annotated[Literal["float32", "float64"], typer.Option(help="Precision of all numbers.")] = "float64",
     memory: Memory = None,
     chunk: Annotated[int | None, typer.Option(help="Solves between two writes.", min=1, show_default="fits")] = None,
     netcdf: Annotated[Path | None, typer.Option(help="Write a NetCDF file too, such as sweep.nc.")] = None,
@@ -194,7 +193,6 @@ def sweep(
         outputs=tuple(dict.fromkeys(name.strip() for text in output for name in text.split(","))),
         sensitivities=tuple(sensitivity or ()),
         nodes=nodes,
-        precision=precision,
         memory=None if memory is None else sweep_options.read_memory(memory),
         chunk_size=chunk,
     )

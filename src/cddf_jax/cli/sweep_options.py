@@ -11,8 +11,7 @@ from .. import units
 from ..errors import InputError
 from ..files.actuation import read_actuation
 from ..robot.manipulator import Manipulator
-from ..sweeping.axes import OPTIONS, Dimension as Axis, dimensions_of
-from ..sweeping.sampling import latin_hypercube, sobol
+from ..sweeping.axes import OPTIONS, Dimension as Axis, dimensions_of, latin_hypercube, sobol
 from ..sweeping.sweep import Sweep
 from .options import read_all
 
