@@ -90,10 +90,6 @@ def trade_off(task: "DesignTask", num: int) -> Answer:
     """As `designed`, for the trade-off between the two objectives."""
     from ..designing import report
 
-    if task.choices or task.options.starts > 1 or any(weight != 1 for weight, _ in task.objective):
-        raise InputError(
-            "--pareto: choices, starts and weights have no place in a trade-off; take them out of the task"
-        )
     front = task.pareto_front(num)
     answer, text = report.front_as_dict(front), report.front_in_words(front)
 
@@ -113,5 +109,5 @@ def trade_off(task: "DesignTask", num: int) -> Answer:
 def _manipulator_file(found: "Design", task: "DesignTask") -> str:
     from ..files.manipulator_file import manipulator_text
 
-    outside = task.options.offsets_outside_wall
+    outside = task.arguments["options"].offsets_outside_wall
     return manipulator_text(found.manipulator, offsets_outside_wall=outside, gravity=task.gravity)

@@ -14,7 +14,6 @@ TOLERANCE = 1e-6  # scaled: of limits, and of the first-order optimality
 ACTIVE = 1e-5  # scaled: a limit or bound with a smaller margin is active
 UNIQUE = 1e-5  # relative: multipliers that differ by less are the same
 REFUSED = 1e3  # times the objective: the value where the function has no answer
-RUNS = 4  # of SLSQP; each starts where the one before ended
 
 Vector = Float[np.ndarray, " _"]
 Matrix = Float[np.ndarray, "_ _"]
@@ -90,6 +89,10 @@ class LocalMinimum(NamedTuple):
     def feasible(self) -> bool:
         return self.point.violation <= TOLERANCE
 
+    @property
+    def stationary(self) -> bool:
+        return self.optimality.residual <= TOLERANCE
+
 
 VectorFunction = Callable[[Vector], Point]  # an objective and its limits, with derivatives
 
@@ -103,39 +106,33 @@ def minimise_constrained(
     max_iterations: int = 300,
     after: Callable[[Point], None] = lambda point: None,
 ) -> LocalMinimum:
-    """Search from one start with SLSQP, which starts again where it ended before it reached a stationary point.
+    """Search from one start with SLSQP.
 
     Args:
         function: values and exact first derivatives anywhere within the bounds.
         start: (unknowns,), usable.
         lower, upper: bounds of the unknowns, infinite for none.
-        max_iterations: of all runs of SLSQP together.
+        max_iterations: at most.
         after: called after every iteration with its point.
     """
-    x, runs, iterations = np.clip(start, lower, upper), 0, 0
-    seen = _Seen(function, x)
-    while True:
-        with np.errstate(all="ignore"):
-            found = minimize(
-                lambda x: seen(x).objective,
-                x,
-                jac=lambda x: seen(x).gradient,
-                bounds=list(zip(lower, upper, strict=True)),
-                constraints=[
-                    {"type": "ineq", "fun": lambda x: seen(x).inequality, "jac": lambda x: seen(x).inequality_slopes},
-                    {"type": "eq", "fun": lambda x: seen(x).equality, "jac": lambda x: seen(x).equality_slopes},
-                ],
-                method="SLSQP",
-                callback=lambda x: after(seen(x)),
-                options={"maxiter": max_iterations - iterations, "ftol": 1e-14},
-            )
-        runs, iterations = runs + 1, iterations + found.nit
-        last = seen(np.clip(found.x, lower, upper))
-        point = last if last.usable and last.violation <= max(TOLERANCE, seen.best.violation) else seen.best
-        x, here = point.x, LocalMinimum(point, optimality(point, lower, upper), iterations)
-        ended = not here.feasible or here.optimality.residual <= TOLERANCE
-        if ended or runs == RUNS or iterations >= max_iterations:
-            return here
+    seen = _Seen(function, np.clip(start, lower, upper))
+    with np.errstate(all="ignore"):
+        found = minimize(
+            lambda x: seen(x).objective,
+            seen.last.x,
+            jac=lambda x: seen(x).gradient,
+            bounds=list(zip(lower, upper, strict=True)),
+            constraints=[
+                {"type": "ineq", "fun": lambda x: seen(x).inequality, "jac": lambda x: seen(x).inequality_slopes},
+                {"type": "eq", "fun": lambda x: seen(x).equality, "jac": lambda x: seen(x).equality_slopes},
+            ],
+            method="SLSQP",
+            callback=lambda x: after(seen(x)),
+            options={"maxiter": max_iterations, "ftol": 1e-14},
+        )
+    last = seen(np.clip(found.x, lower, upper))
+    point = last if last.usable and last.violation <= max(TOLERANCE, seen.best.violation) else seen.best
+    return LocalMinimum(point, optimality(point, lower, upper), found.nit)
 
 
 class _Seen:

@@ -10,8 +10,7 @@ from ..files.writing import markdown_table
 from ..units import Dimension, preferred, shown
 from .constrained import TOLERANCE
 from .free_numbers import dimension_of_number, number_in_words
-from .results import Design, FreeNumber, LimitReport
-from .sensitivity import fixed_numbers
+from .results import Design, FreeNumber, LimitReport, fixed_numbers
 
 if TYPE_CHECKING:
     from .pareto import ParetoFront

@@ -12,7 +12,7 @@ from .constrained import ACTIVE, TOLERANCE, LocalMinimum, Point, least_violation
 from .problem import USABLE, DesignEvaluation, DesignProblem, pieces_of
 
 WANDERING = 16  # last stations, which are moved to where limits are broken between the others
-LOOKS = 6  # how often a search begins again with stations that are moved
+LOOKS = 6  # how often a search begins again where it ended
 FINE = 768  # places at which limits are checked between the stations
 SEARCHES = 4  # from the best of many starts
 NEAR = 1e-2  # a margin that may be negative between the points of the grid
@@ -119,12 +119,13 @@ class DesignSearch:
         return still & (np.max(np.abs(slopes), axis=0) * self.ranges <= FLAT)
 
     def _from(self, z: np.ndarray) -> SearchResult:
-        """The search from one start, repeated while limits are broken between the stations."""
+        """The search from one start, repeated while it ends too early or limits are broken between the stations."""
         problem, x, looks = self.problem, self.with_heights(z), 0
         while True:
             local, blocking = self._search(problem, x)
             violation, places = broken_between(problem, local)
-            if violation <= TOLERANCE or not local.feasible or looks == LOOKS:
+            done = violation <= TOLERANCE and (local.stationary or local.iterations >= self.max_iterations)
+            if done or not local.feasible or looks == LOOKS:
                 return SearchResult(local, problem, violation, blocking)
             kept, wandering = np.split(np.asarray(problem.stations), [-WANDERING])
             moved = np.concatenate([kept, wandering[len(places) :], places])  # in place of the oldest
