@@ -160,7 +160,7 @@ class SpacePlot:
 
     def show_loop(self, loop: Loop | None) -> None:
         """The axis of the body with its past; None for nothing."""
-        past = [] if loop is None else [Row("past", 1e3 * np.asarray(loop.state.position), PURPLE, (6, 3), 2.0)]
+        past = [] if loop is None else [Row("past", 1e3 * loop.position, PURPLE, (6, 3), 2.0)]
         if past or self.past:
             self.past = past
             self._send()

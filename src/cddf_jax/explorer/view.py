@@ -16,10 +16,10 @@ from ..errors import InputError, SolveError
 from ..quantities import QUANTITIES
 from ..robot.cross_section import Kinematics
 from ..robot.manipulator import KINEMATICS
-from .controls import from_si, rounded
+from .controls import from_si, rounded, tensions_and_loads
 from .model import Curve, Exploration, Picture, Settings
 from .parts import column, grid, plot, slider, title, words
-from .past import Follower, Loop, PastMoves, SetPoint, after_move, why_no_loop, why_not
+from .past import Loop, Turns, after_move, loop_of, why_no_loop
 from .plots import AlongPlots, BodyPlot, TableColumns, TensionPlots
 from .space import SpacePlot
 from .words import lines_html, loop_html, numbers_html, paragraph, tapers_html
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 
 SLIDES = {"as found": 0, "slides in": 1, "slides out": -1}
 COMPILED: set[tuple[object, int]] = set()  # structures of cases with the number of arc lengths
-FOLLOWING = "Following the path from rest, some seconds ..."
 COMPILING = "Compiling for this kind of body and load, some seconds ..."
 
 Say: TypeAlias = Callable[[str, str], None]  # a line of text and its kind, "error", "busy" or "" for none
@@ -58,7 +57,8 @@ class ExplorerView:
         self.settings: Settings = exploration.start
         self.picture: Picture | None = None
         self.fitted: Fit | None = None
-        self.past, self.follower = PastMoves(), Follower(exploration)
+        self.turns: Turns = ()  # of the tension, as far as they are remembered
+        self.tendon = 0  # whose tension moved last
         body, s = exploration.manipulator, exploration.arc_length
         self.several = body.num_tendons > 1
         self.body = SpacePlot(body) if body.in_space else BodyPlot(body, s)
@@ -116,9 +116,9 @@ class ExplorerView:
 
     def _past_parts(self) -> list[pn.viewable.Viewable]:
         """The text about the past, and the button that forgets it where there may be something to forget."""
-        self.past_text, body = words("past"), self.exploration.manipulator
+        self.past_text = words("past")
         button = pn.widgets.Button(name="Forget the past", on_click=lambda _: self.forget())
-        return [self.past_text, *([] if why_not(body, SetPoint((0.0,) * body.num_tendons, ())) else [button])]
+        return [self.past_text, *([] if self.several else [button])]
 
     def _downloads(self) -> list[pn.widgets.FileDownload]:
         labels = {
@@ -184,17 +184,20 @@ class ExplorerView:
 
     def forget(self) -> None:
         """Begin the past again with a pull from rest to what is set."""
-        self.past = PastMoves(tendon=self.past.tendon)
+        self.turns = ()
         self.change()
 
     def change(self) -> None:
         """Solve for the present positions of the sliders."""
         numbers = {name: float(each.value) for name, each in self.sliders.items()}
         directions = tuple(widget.value or None for widget in self.directions)
+        tensions = [control.name for control in tensions_and_loads(self.exploration.controls)[0]]
+        moved = [i for i, name in enumerate(tensions) if numbers[name] != self.settings.numbers[name]]
+        self.tendon = moved[0] if moved else self.tendon
         self.settings = Settings(numbers, directions, self.kinematics.value)
         self._mark("computing", True, self.drawn)
-        self.past = after_move(self.past, self.exploration, self.settings)
-        wanted = self.settings, float(self.angle.value or 0.0), self.past
+        self.turns = after_move(self.turns, self.exploration, self.settings)
+        wanted = self.settings, float(self.angle.value or 0.0), self.turns, self.tendon
         self.threads.pictures.submit(self._guarded, self._draw, *wanted)
 
     def _guarded(self, function: Callable[..., None], settings: Settings, *arguments: object) -> None:
@@ -209,17 +212,17 @@ class ExplorerView:
             logging.getLogger(__name__).exception("explorer")
             self._on_page(self._refuse, f"{type(error).__name__}: {error}")
 
-    def _draw(self, settings: Settings, angle: float, past: PastMoves) -> None:
+    def _draw(self, settings: Settings, angle: float, turns: Turns, tendon: int) -> None:
         """Make the picture, and then start on another thread what takes longer."""
         case = self.exploration.case(settings)
         kind = jax.tree.structure(case), self.exploration.arc_length.size
         if kind not in COMPILED:
             self._on_page(self.say, COMPILING, "busy")
         picture = self.exploration.picture(case)
-        self._on_page(self._show, settings, picture, past.tendon)
+        self._on_page(self._show, settings, picture, tendon)
         if picture.good:
-            self.threads.pasts.submit(self._guarded, self._remember, settings, picture, past)
-            self.threads.comparisons.submit(self._guarded, self._compare, settings, angle, picture, past.tendon)
+            self.threads.pasts.submit(self._guarded, self._remember, settings, picture, turns)
+            self.threads.comparisons.submit(self._guarded, self._compare, settings, angle, picture, tendon)
         COMPILED.add(kind)
 
     def _compare(self, settings: Settings, angle: float, picture: Picture, tendon: int) -> None:
@@ -243,21 +246,17 @@ class ExplorerView:
         self._show_points("rows", rows)
         self._done(settings, ["tension"])
 
-    def _remember(self, settings: Settings, picture: Picture, past: PastMoves) -> None:
-        """Show the loop of the tension that is moved, or why there is none."""
-        body = picture.case.manipulator
-        if reason := why_no_loop(body, past):
-            self._on_page(self._show_loop, settings, None, paragraph(reason))
-            return
-        if not self.follower.knows(past):
-            self._on_page(setattr, self.past_text, "object", paragraph(FOLLOWING))
-        loop = self.follower.loop(body, past, lambda: self.past.goes_on_from(past))
-        if loop is not None:  # else it was forgotten meanwhile
-            self._on_page(self._show_loop, settings, loop if loop.shown else None, loop_html(loop))
+    def _remember(self, settings: Settings, picture: Picture, turns: Turns) -> None:
+        """Show the loop of the tension, or why there is none."""
+        body, loop = picture.case.manipulator, None
+        if not (text := why_no_loop(body, turns)):
+            loop = loop_of(body, turns, self.exploration.arc_length)
+        self._on_page(self._show_loop, settings, loop, loop_html(loop) if loop else paragraph(text))
 
     def _show_loop(self, settings: Settings, loop: Loop | None, text: str) -> None:
-        self.tension.show_loop(loop)
-        self.body.show_loop(loop)
+        shown = loop if loop is not None and loop.shown else None
+        self.tension.show_loop(shown)
+        self.body.show_loop(shown)
         self.past_text.object = text
         self._done(settings, ["past"])
 
