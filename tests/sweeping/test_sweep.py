@@ -397,7 +397,7 @@ def test_single_precision():
 
 
 def test_short_steps_in_single_precision_are_refused():
-    with jax.enable_x64(False), pytest.raises(cddf.InputError, match="of several tendons or under loads needs float64"):
+    with jax.enable_x64(False), pytest.raises(cddf.InputError, match="several tendons or loads need 64-bit numbers"):
         cddf.sweep(PAIR, {"base_tension": PULL}, history=True)
 
 
@@ -407,13 +407,11 @@ def test_a_single_range_of_a_dictionary_of_one_is_still_labelled():
 
 
 OWN_FRICTION = replace(paper_body(), tendons=(replace(paper_body().tendons[0], friction_coefficient=0.3),))
-ENDS_EARLY = replace(paper_body(), tendons=(replace(paper_body().tendons[0], end=0.1),))
 BAD = {
     "no manipulator": ({"base_tension": [1.0]}, {"manipulator": "robot.toml"}, "manipulator must be a Manipulator"),
     "no loads": ({"base_tension": [1.0]}, {"loads": (0.0, -5.0)}, "loads must be Loads"),
     "memory in words": ({"base_tension": [1.0]}, {"memory": "2 GB"}, "memory must be a number of bytes"),
     "one name": ({"base_tension": [1.0]}, {"outputs": "tip_angle"}, "outputs must be a tuple of names"),
-    "a name twice": ({"base_tension": [1.0]}, {"outputs": ["tip_angle"] * 2}, "outputs names something twice"),
     "tension twice": ({"base_tension": [1.0]}, {"base_tension": 1.0}, "given and an axis"),
     "no function": ({"base_tension": [1.0]}, {"observables": {"x": 3}}, "'x' must be a function"),
     "a bad function": (
@@ -423,11 +421,6 @@ BAD = {
     ),
     "direction": ({"direction": [1.0, 0.0]}, {"base_tension": 1.0}, "must hold 1 for sliding in and -1"),
     "one direction": ({"base_tension": [1.0]}, {"direction": 0}, "direction is 1 for sliding in and -1"),
-    "an end beyond the tip": (
-        {"tendons.0.end": [0.1, 0.2]},
-        {"base_tension": 1.0, "manipulator": ENDS_EARLY},
-        "holds 0.2 m, which is not on the body",
-    ),
     "a slash": ({"a/b": {"base_tension": [1.0]}}, {}, "cannot be called 'a/b'"),
     "no stretch": ({"tendons.0.free_length": [0.1]}, {"base_tension": 1.0}, "the tendon does not stretch"),
     "overruled": (

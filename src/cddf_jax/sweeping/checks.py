@@ -3,7 +3,6 @@
 What `solve` and `trace` refuse themselves is not looked at here.
 """
 
-import re
 from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
@@ -81,9 +80,6 @@ def check_sweep(work: "Sweep") -> None:
     refuse_batch("sweep", work.manipulator)
     if work.history:
         _check_history(work)
-    for name in ("outputs", "sensitivities"):
-        if len(set(getattr(work, name))) < len(getattr(work, name)):
-            raise InputError(f"sweep: {name} names something twice; leave one out")
     known = {name for dimension in work.dimensions for name in (dimension.name, *dimension.numbers)}
     if work.base_tension is not None and "base_tension" in known:
         raise InputError("sweep: base_tension is given and an axis; leave one out")
@@ -111,14 +107,6 @@ def _check_names(work: "Sweep", case: Case) -> None:
     swept = {name for dimension in work.dimensions for name in dimension.numbers}
     for name in swept:
         case.number(name)
-    length = None if "length" in swept else float(np.asarray(case.manipulator.length))
-    for dimension in work.dimensions:
-        for name, values in dimension.numbers.items():
-            outside = values[(values <= 0) | (values > (length or np.inf))]
-            if re.fullmatch(r"tendons\.\d+\.end", name) and outside.size:
-                raise InputError(
-                    f"sweep: the axis {name!r} holds {outside[0]:g} m, which is not on the body; leave it out"
-                )
     # an output such as the strain of the wall depends on the outer radius itself
     wall_is_seen = bool(work.observables) or not {"peak_strain", "peak_strain_at"}.isdisjoint(work.outputs)
     for name, remedy in _idle(swept, case, wall_is_seen).items():
