@@ -20,6 +20,7 @@ from .load_cases import LoadCase, alike, stacked
 from .objectives import Limit, Objective
 
 Answer = TypeVar("Answer", bound=PyTree)
+Part = Float[Array | np.ndarray, " _"]  # of a vector
 USABLE = (  # with which a search can go on
     *(Status.successful, Status.direction_contradicted, Status.crossing),
     *(Status.inaccurate, Status.unstable),
@@ -80,7 +81,7 @@ class DesignProblem(eqx.Module):
         weights = jnp.stack([jnp.asarray(case.weight) for case in self.cases])
         return weights / jnp.sum(weights)
 
-    def split(self, unknowns: Vector) -> tuple[Vector, Vector]:
+    def split(self, unknowns: Vector) -> tuple[Part, Part]:
         """The scaled free numbers, and the heights of the peaks."""
         count = len(self.free.names)
         return unknowns[:count], unknowns[count:]

@@ -40,8 +40,10 @@ class Threads(ExitStack):
     def __init__(self):
         super().__init__()
         self.pictures, self.pasts, self.comparisons, self.fits = each = [ThreadPoolExecutor(1) for _ in range(4)]
+        self.ended = False
         for threads in each:
             self.callback(threads.shutdown, cancel_futures=True)
+        self.callback(setattr, self, "ended", True)
 
 
 class ExplorerView:
@@ -209,6 +211,8 @@ class ExplorerView:
         except (InputError, SolveError) as error:
             self._on_page(self._refuse, str(error))
         except Exception as error:
+            if self.threads.ended:  # they take no more work
+                return
             logging.getLogger(__name__).exception("explorer")
             self._on_page(self._refuse, f"{type(error).__name__}: {error}")
 
