@@ -12,7 +12,7 @@ from .estimation.least_squares import LeastSquaresFit as LeastSquaresFit, least_
 from .estimation.observations import Noise as Noise
 from .estimation.parameter_space import Uniform as Uniform
 from .estimation.profile_likelihood import Profile as Profile
-from .files.cross_sections import read_cross_sections as read_cross_sections, section_columns as section_columns
+from .files.cross_sections import read_cross_sections as read_cross_sections
 from .files.manipulator_file import (
     RobotFile as RobotFile,
     read_manipulator as read_manipulator,

@@ -87,7 +87,7 @@ def draw_section_column(column: SectionColumn, axes: Axes | None = None) -> Axes
     """The points of a column, and the profile that was taken for it, over the arc length, mm.
 
     Args:
-        column: of `section_columns`.
+        column: of `read_cross_sections(path).columns`.
         axes: where to draw; None for a new figure, one column wide.
     """
     points, values = 1e3 * column.arc_length, 1e3 * column.values
@@ -110,6 +110,6 @@ def sections_figure(columns: Sequence[SectionColumn]) -> Figure:
     """A panel for each column of a table of cross-sections, with one legend.
 
     Args:
-        columns: of `section_columns`.
+        columns: of `read_cross_sections(path).columns`.
     """
     return draw.panels_figure(lambda panel, column: draw_section_column(column, panel), columns, SECTION_HEIGHT)

@@ -90,7 +90,7 @@ from ..quantities import QUANTITIES, dimension_of
 from ..robot.manipulator import Manipulator, PointMass, Tendon
 from ..robot.profiles import Constant, Linear, Piecewise, Polyline, Profile, Spline, as_profile
 from ..units import Dimension, quantity, written
-from .cross_sections import TOLERANCE, CrossSections, SectionColumn, sections_and_columns
+from .cross_sections import TOLERANCE, SectionColumn, read_cross_sections
 from .writing import write_all
 
 _Table = Mapping[str, Any]
@@ -274,7 +274,7 @@ def _values(table: _Table, length: float, profiles: Sequence[str], where: str = 
 
 def _check_top(table: _Table) -> None:
     """Refuse keys that are unknown or contradict each other, and require those that must be there."""
-    given_elsewhere = {*CrossSections._fields} if _SECTIONS in table else set()
+    given_elsewhere = {"length", *_RADII, "tendons"} if _SECTIONS in table else set()
     given_elsewhere |= {"youngs_modulus", *_RADII} if "bending_stiffness" in table else set()
     for one, other in (("youngs_modulus", "bending_stiffness"), *((key, _SECTIONS) for key in ("length", *_RADII))):
         if one in table and other in table:
@@ -304,7 +304,7 @@ def _tables(table: _Table, key: str, one: str) -> list[_Table]:
 def _read_sections(table: _Table, folder: Path) -> tuple[dict[str, Any], tuple[SectionColumn, ...]]:
     """The body in the CSV file that is named, with the numbers in the tables of the tendons, and its columns."""
     file, tolerance = _named(table[_SECTIONS], folder)
-    sections, columns = sections_and_columns(file, tolerance)
+    sections = read_cross_sections(file, tolerance=tolerance)
     tendons = list(sections.tendons)
     tables = _tables(table, "tendons", "tendon") if "tendons" in table else [{}] * len(tendons)
     if len(tables) != len(tendons):
@@ -315,7 +315,7 @@ def _read_sections(table: _Table, folder: Path) -> tuple[dict[str, Any], tuple[S
         values = _values(own, sections.length, _TENDON_PROFILES, where)
         with within(where.removesuffix(": "), ValueError):
             tendons[i] = dataclasses.replace(tendons[i], **values)
-    return sections._replace(tendons=tuple(tendons))._asdict(), columns
+    return sections.body | {"tendons": tendons}, sections.columns
 
 
 def _named(value: object, folder: Path) -> tuple[Path, float]:
