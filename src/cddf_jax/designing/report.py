@@ -106,6 +106,7 @@ def _sensitivity(found: Design) -> Iterator[str]:
     numbers = zip(fixed_numbers(found.outcome.problem).values(), found.sensitivity.items(), strict=True)
     for value, (name, slope) in numbers:
         change = slope * value
+        name = name.removeprefix("case 1: ") if len(found.cases) == 1 else name
         if dimension_of_number(name.split(": ")[-1]) == "angle":  # which has no size
             name, change = f"{name}, by 1 deg", slope * np.radians(1.0) / 0.01
         if np.isnan(slope):
