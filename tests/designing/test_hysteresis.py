@@ -105,40 +105,6 @@ def test_the_width_of_a_body_and_its_slopes_in_both_modes():
     assert np.isnan(jax.jit(width)(at[[0, 1, 3, 2, 4]]))  # a tension below the loop has no width
 
 
-@pytest.mark.slow
-def test_the_width_in_short_steps_has_the_closed_form():
-    """Under loads of zero the answer is known; its slope is a difference."""
-    case = cddf.LoadCase(AT, cddf.Loads(), loop=(LOW, HIGH))
-
-    def width(modulus):
-        body = replaced(paper_body("exact"), youngs_modulus=modulus * 1e6)
-        return BODY_QUANTITIES["hysteresis"].of(BodyView(body, jnp.zeros(1), case, case.solve(body, 8), 8))
-
-    def plain(modulus):
-        return closed(MU * FLOW / (modulus * 1e6), MU)
-
-    value, slope = jax.jit(lambda x: jax.jvp(width, (x,), (1.0,)))(1.4)
-    assert value == pytest.approx(plain(1.4), rel=3e-3)
-    assert slope == pytest.approx(difference(plain, 1.4, 1e-3), rel=2e-2)
-
-
-@pytest.mark.slow
-def test_a_design_of_a_pair_reports_the_error_of_its_width():
-    """A stiff body bends little, so that the modulus ends at its upper bound; there the width is that of a trace."""
-    pair = paper_body("exact", num_tendons=2)
-    case = cddf.LoadCase((40.0, 20.0), direction=(1, -1), loop=(10.0, 70.0))
-    options = cddf.DesignOptions(nodes=4)
-    found = cddf.design(pair, cddf.Least("hysteresis"), ("youngs_modulus",), cases=case, options=options)
-    modulus = found.free["youngs_modulus"]
-    assert modulus.status == "at upper bound"
-    path = [[70.0, 20.0], [40.0, 20.0], [10.0, 20.0], [40.0, 20.0]]
-    body = replaced(pair, youngs_modulus=modulus.value)
-    traced = cddf.trace(body, path, nodes=4, short_steps=8, throw=False)
-    assert found.objective == pytest.approx(float(traced.tip_angle[1] - traced.tip_angle[3]), rel=1e-6)
-    error = np.degrees(np.max(traced.error_estimate))
-    assert f"followed in short steps, with an error estimate of {error:.5g} deg" in " ".join(found.remarks)
-
-
 @pytest.mark.parametrize(
     ("body", "case", "message"),
     [
@@ -155,14 +121,10 @@ def test_a_design_of_a_pair_reports_the_error_of_its_width():
         ),
         (
             paper_body(num_tendons=2),
-            cddf.LoadCase((40.0, 20.0), loop=((5.0, 20.0), (75.0, 30.0))),
-            "the base tension of the load case, 40, 20 N, must lie inside its loop, 5, 20 to 75, 30 N",
+            cddf.LoadCase((40.0, 20.0), loop=(LOW, HIGH)),
+            "'hysteresis' is known for one tendon without loads; follow others with trace",
         ),
-        (
-            paper_body(),
-            cddf.LoadCase(AT, loop=((5.0, 20.0), (75.0, 30.0))),
-            "has tensions of 2 tendons, but the body has 1",
-        ),
+        (paper_body(), cddf.LoadCase(AT, cddf.Loads(), loop=(LOW, HIGH)), "is known for one tendon without loads"),
     ],
 )
 def test_what_has_no_width(body, case, message):

@@ -12,7 +12,6 @@ import pytest
 from scipy.optimize import minimize
 
 import cddf_jax as cddf
-from cddf_jax.designing.report import design_in_words
 
 L, OFFSET, E, MU, ANGLE = 0.2, 6e-3, 2e9, 0.2, np.pi / 4
 OUTER, WALL = (2.2e-3, 1.8e-3), 0.5e-3
@@ -101,19 +100,15 @@ def test_a_limit_that_only_a_bore_keeps():
 
 
 def test_a_bore_of_nothing_that_is_the_best():
-    """The sag allows no bore. The bounds of 0 have no price, and the report says no more than that."""
+    """The sag allows no bore. The bounds of 0 have no price."""
     found = bored(START, SOLID * (1 + 1e-9))
     assert found.success, found.result
     assert list(found.value.values()) == list(START)
     for number in found.free.values():
         assert number.status == "at lower bound"
         assert number.multiplier == 0.0
-    text = design_in_words(found)
-    assert (
-        "inner_radius.base at lower bound, inner_radius.tip at lower bound: a multiplier of 0, which does not" in text
-    )
-    assert "found no better body" in text
-    assert "would make the objective better" not in text
+    assert len(found.remarks) == 1
+    assert found.remarks[0].endswith("found no better body")
 
 
 @pytest.mark.slow

@@ -1,29 +1,23 @@
 """Moves of sliders, for the tests of what the explorer remembers."""
 
-from cddf_jax.explorer.past_moves import PastMoves, after_move
+from cddf_jax.explorer.past import after_move, loop_of
 
-FIRST, SECOND, FORCE, GRAVITY, MODULUS = (
-    "base_tension_1",
-    "base_tension_2",
-    "tip_force.1",
-    "gravity.1",
-    "youngs_modulus",
-)
+FIRST, SECOND, FORCE, MODULUS = "base_tension_1", "base_tension_2", "tip_force.1", "youngs_modulus"
 FORGET = "the button"
 
 
-def past_of(explored, *moves):
+def turns_of(explored, *moves):
     """After the first picture, and moves that are numbers by name or the button that forgets."""
-    past, settings = PastMoves(), explored.start
+    turns, settings = (), explored.start
     for move in ({}, *moves):
         numbers = {} if move == FORGET else move
-        past = PastMoves() if move == FORGET else past
         settings = settings._replace(numbers={**settings.numbers, **numbers})
-        past = after_move(past, explored.manipulator, explored.controls, settings)
-    return past
+        turns = after_move(() if move == FORGET else turns, explored, settings)
+    return turns
 
 
-def body_of(explored, *moves):
-    """The manipulator as it is set then."""
-    numbers = {name: number for move in moves if move != FORGET for name, number in move.items()}
-    return explored.case(explored.start._replace(numbers={**explored.start.numbers, **numbers})).manipulator
+def loop_after(explored, *moves):
+    """The loop, with the manipulator as it is set then."""
+    numbers = {name: number for move in moves for name, number in move.items()}
+    body = explored.case(explored.start._replace(numbers={**explored.start.numbers, **numbers})).manipulator
+    return body, loop_of(body, turns_of(explored, *moves), explored.arc_length)

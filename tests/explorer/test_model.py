@@ -208,7 +208,7 @@ def test_what_is_computed_at_once_keeps_its_mark(monkeypatch):
     with set_curdoc(Document()), Threads() as idle:
         monkeypatch.setattr(idle.pictures, "submit", lambda *_: None)
         monkeypatch.setattr(type(pn.state), "onload", lambda _, callback: callback())
-        page = Page(PageContent(Exploration(paper_body("exact")), "", (), idle))
+        page = Page(PageContent(Exploration(paper_body("exact")), "", idle))
     marked = {part.css_classes[-1] for part in page.place if part.styles.get("--computing") == "on"}
     assert marked == {"body", "numbers", "tension", "along"}
 

@@ -1,16 +1,12 @@
 """What the explorer remembers of the sliders, against the play operator in NumPy and what is said of each case."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from bodies import paper_body
-from moves import FIRST, FORCE, FORGET, MODULUS, SECOND, past_of
-from places import DATA
+from moves import FIRST, FORCE, FORGET, MODULUS, SECOND, turns_of
 
-import cddf_jax as cddf
 from cddf_jax.explorer.model import Exploration
-from cddf_jax.explorer.past_moves import NUM_LEGS, SetPoint, corners, gone_on, remembered, why_no_loop
+from cddf_jax.explorer.past import NUM_LEGS, gone_on, remembered, why_no_loop
 from cddf_jax.measurements.table import Measurements
 
 G = np.linspace(0.0, 9e-3, 50)  # the widths of the plays along the paper's body, 1/N
@@ -31,10 +27,6 @@ def moved(*path):
     return turns
 
 
-def tensions_of(past):
-    return [point.tension for point in past.points]
-
-
 @pytest.fixture(scope="module")
 def one():
     return Exploration(paper_body("exact"))
@@ -43,17 +35,6 @@ def one():
 @pytest.fixture(scope="module")
 def pair():
     return Exploration(paper_body("exact", num_tendons=2))
-
-
-@pytest.fixture(scope="module")
-def three():
-    return Exploration(cddf.read_manipulator(DATA / "three_tendons_made_up.toml"))
-
-
-@pytest.fixture(scope="module")
-def turned():
-    """The paper's body, whose tendon has an angle."""
-    return Exploration(replace(paper_body("exact"), tendons=(cddf.Tendon(0.010, angle=0.5),)))
 
 
 def test_only_the_turns_are_kept():
@@ -74,76 +55,27 @@ def test_closed_loops_may_be_left_out():
         np.testing.assert_allclose(after(remembered(turns)), after(path), rtol=1e-14)
 
 
-def test_every_move_is_a_step_of_the_path(pair):
-    past = past_of(pair, {SECOND: 20.0}, {FIRST: 60.0}, {FORCE: -0.1}, {FORCE: -0.1})
-    assert tensions_of(past) == [(75.0, 0.0), (75.0, 20.0), (60.0, 20.0), (60.0, 20.0)]
-    assert [any(point.load) for point in past.points] == [False, False, False, True]
-    assert past.tendon == 0  # the tension that moved last, a load apart
-    assert past_of(pair, {FIRST: 60.0}, {SECOND: 20.0}).tendon == 1
-    assert tensions_of(past_of(pair, {SECOND: 20.0}, {FIRST: 60.0}, FORGET)) == [(60.0, 20.0)]
+def test_another_body_keeps_the_turns(one):
+    assert turns_of(one, {FIRST: 40.0}, {MODULUS: 1.5}) == (75.0, 40.0)
+    assert turns_of(one, {FIRST: 40.0}, FORGET, {FIRST: 30.0}) == (40.0, 30.0)
 
 
-def test_another_body_forgets_the_past_of_several_tendons(pair):
-    past = past_of(pair, {SECOND: 20.0}, {FIRST: 60.0}, {MODULUS: 1.5})
-    assert tensions_of(past) == [(60.0, 20.0)]
-    said = why_no_loop(pair.manipulator, past)
-    assert said.startswith("The body has changed: its past was forgotten. ")
-    again = past_of(pair, {SECOND: 20.0}, {MODULUS: 1.5}, {FIRST: 60.0})
-    assert not again.body_changed
-    assert "has changed" not in why_no_loop(pair.manipulator, past_of(pair, {MODULUS: 1.5}))  # nothing was forgotten
-
-
-def test_another_body_with_one_tendon_keeps_the_turns(one):
-    past = past_of(one, {FIRST: 40.0}, {MODULUS: 1.5})
-    assert past.turns == (75.0, 40.0)
-    under_load = past_of(one, {FORCE: -0.1}, {FIRST: 40.0}, {MODULUS: 1.5})
-    assert under_load.body_changed
-    assert tensions_of(under_load) == [(40.0,)]
-
-
-def test_what_lies_on_the_way_is_no_corner(pair):
-    past = past_of(pair, {SECOND: 10.0}, {SECOND: 20.0}, {FIRST: 70.0}, {FIRST: 60.0}, {FIRST: 65.0}, {FORCE: -0.1})
-    tensions = [point.tension for point in corners(past.points)]
-    assert tensions == [(75.0, 0.0), (75.0, 20.0), (60.0, 20.0), (65.0, 20.0), (65.0, 20.0)]
-    # the first part begins at rest, under the loads of the first point
-    pulled = [SetPoint((tension, 0.0), (1.0,)) for tension in (40.0, 75.0)]
-    assert corners(pulled) == pulled[1:]
-
-
-def test_before_a_load_one_tendon_is_known_by_its_turns(one):
-    """75, 40, 60, 50, 30 N: the loop of 60 and 50 N has closed."""
-    past = past_of(one, {FIRST: 40.0}, {FIRST: 60.0}, {FIRST: 50.0}, {FIRST: 30.0}, {FORCE: -0.1})
-    assert [point.tension for point in corners(past.points)] == [(75.0,), (30.0,), (30.0,)]
+def test_a_load_forgets_the_past_and_it_begins_without_loads(one):
+    assert turns_of(one, {FIRST: 40.0}, {FORCE: -0.1}) == ()
+    assert turns_of(one, {FIRST: 40.0}, {FORCE: -0.1}, {FORCE: 0.0}, {FIRST: 30.0}) == (40.0, 30.0)
 
 
 def test_where_there_is_no_loop_the_reason_is_said(one, pair):
-    assert why_no_loop(one.manipulator, past_of(one)) == "Drag the base tension back, and the loop appears here."
-    assert why_no_loop(one.manipulator, past_of(one, {FIRST: 40.0})) == ""
-    assert why_no_loop(one.manipulator, past_of(one, {FORCE: -0.1})) == ""
-    said = why_no_loop(pair.manipulator, past_of(pair))
-    assert said.startswith("The past begins here: all tendons were pulled together from rest to what is set.")
-    assert why_no_loop(pair.manipulator, past_of(pair, {SECOND: 20.0})) == ""
+    said = why_no_loop(one.manipulator, turns_of(one))
+    assert said == "Drag the base tension back, and the loop appears here."
+    assert why_no_loop(one.manipulator, turns_of(one, {FIRST: 40.0})) == ""
+    said = why_no_loop(one.manipulator, turns_of(one, {FORCE: -0.1}))
+    assert said.startswith("The past is remembered without loads only.")
+    said = why_no_loop(pair.manipulator, turns_of(pair, {SECOND: 20.0}, {FIRST: 30.0}))
+    assert said == "The past is remembered for one tendon. For several, follow a path with cddf trace."
     zigzag = [{FIRST: 50 + side * (20 - 0.5 * i)} for i in range(NUM_LEGS) for side in (1, -1)]
-    said = why_no_loop(one.manipulator, past_of(one, *zigzag))
+    said = why_no_loop(one.manipulator, turns_of(one, *zigzag))
     assert said == f"More than {NUM_LEGS} turns are remembered at once; forget the past to go on."
-
-
-def test_what_trace_refuses_in_space_is_said(three, turned):
-    """`trace` follows one tendon without loads in space."""
-    said = why_no_loop(three.manipulator, past_of(three, {FIRST: 30.0}))
-    assert said.startswith("The past is not remembered here: the friction of several tendons in space")
-    with pytest.raises(ValueError, match="in space only one tendon without loads can be followed"):
-        cddf.trace(three.manipulator, [[30.0, 0.0, 0.0]])
-    loaded = past_of(turned, {FIRST: 40.0}, {"tip_force.2": 0.5})
-    assert why_no_loop(turned.manipulator, loaded).startswith(
-        "The past is not remembered here: in space it is known with"
-    )
-    with pytest.raises(ValueError, match="in space only one tendon without loads can be followed"):
-        cddf.trace(turned.manipulator, [40.0], cddf.Loads((0.0, 0.0, 0.5)))
-    # it begins when the load is taken away
-    unloaded = past_of(turned, {FIRST: 40.0}, {"tip_force.2": 0.5}, {"tip_force.2": 0.0})
-    assert tensions_of(unloaded) == [(40.0,)]
-    assert why_no_loop(turned.manipulator, past_of(turned, {FIRST: 40.0})) == ""
 
 
 def test_rows_of_a_measured_loop_know_their_past():

@@ -145,7 +145,7 @@ def test_loads_have_sliders_for_three_components(page):
 
 
 def test_the_past_is_not_remembered(page):
-    page.get_by_text("The past is not remembered here: the friction of several tendons in space").wait_for()
+    page.get_by_text("The past is remembered for one tendon.").wait_for()
     assert page.get_by_role("button", name="Forget the past").count() == 0
 
 

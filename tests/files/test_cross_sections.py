@@ -159,7 +159,7 @@ def test_a_stepped_rod_bends_as_the_lines_of_its_table(read, text, steps):
     78.4147 degrees, which SciPy's integration of the differential equations gives too.
     """
     sections = read(text)
-    robot = cddf.Manipulator(**sections._asdict(), youngs_modulus=2e9, friction_coefficient=0.2)
+    robot = cddf.Manipulator(**sections.body, youngs_modulus=2e9, friction_coefficient=0.2)
     s, radius = 1e-3 * np.loadtxt(text.splitlines()[1:], delimiter=",", usecols=(0, 1)).T
     rows = zip(s[:-1], s[1:], radius[:-1], radius[1:], strict=True)
     G = sum(quad(lambda x, *row: 6e-3 / _second_moment(x, *row), row[0], row[1], row)[0] for row in rows)
@@ -201,14 +201,14 @@ def test_steps_within_the_tolerance_are_none():
 def test_steep_ramps_do_not_swing(read):
     """Over 10 um: a smooth curve through these points was thought to leave a negative wall."""
     sections = read(STEPS.replace("60, 1.8", "60.01, 1.8").replace("130, 1.6", "130.01, 1.6"))
-    robot = cddf.Manipulator(**sections._asdict(), youngs_modulus=2e9, friction_coefficient=0.2)
+    robot = cddf.Manipulator(**sections.body, youngs_modulus=2e9, friction_coefficient=0.2)
     robot.validate(offsets_outside_wall=True)
     assert type(sections.outer_radius) is Polyline
 
 
 def test_a_step_of_an_offset_is_refused_by_the_checks_of_a_body(read):
     sections = read(HEAD + "0, 20, 7, 10\n60, 20, 7, 10\n60, 20, 7, 9\n140, 20, 7, 9\n")
-    robot = cddf.Manipulator(**sections._asdict(), youngs_modulus=1.4e6, friction_coefficient=0.4)
+    robot = cddf.Manipulator(**sections.body, youngs_modulus=1.4e6, friction_coefficient=0.4)
     with pytest.raises(cddf.InputError, match=r"tendon 1: offset must not jump: at s = 60 mm it goes from 10 mm to 9"):
         robot.validate()
 
@@ -218,16 +218,16 @@ def test_an_offset_that_zigzags_is_said(tmp_path):
     path = tmp_path / "body.csv"
     path.write_text(HEAD + "\n".join(f"{2 * i}, 20, 7, {10 + 0.01 * (-1) ** i}" for i in range(21)))
     turned = np.degrees(19 * 2 * np.arctan(0.02 / 2))
-    said = str(cddf.section_columns(path)[2])
+    said = str(cddf.read_cross_sections(path).columns[2])
     assert f"whose kinks turn the tendon by {turned:.3g} deg in all" in said
     assert "they zigzag, and every turn adds friction: a larger tolerance removes noise" in said
-    assert cddf.section_columns(path, tolerance=2e-5)[2].taken == "constant 10 mm"
+    assert cddf.read_cross_sections(path, tolerance=2e-5).columns[2].taken == "constant 10 mm"
 
 
 def test_the_picture_shows_the_points_and_both_sides_of_a_step(tmp_path):
     path = tmp_path / "body.csv"
     path.write_text(STEPS)
-    columns = cddf.section_columns(path)
+    columns = cddf.read_cross_sections(path).columns
     axes = figures.sections_figure(columns).axes[0]
     curve, points = axes.lines
     np.testing.assert_allclose(points.get_xdata(), [0, 60, 60, 130, 130, 200])
@@ -269,9 +269,8 @@ def test_solve_says_what_was_read_and_draws_it(tmp_path, cddf_command, stepped_r
 
 
 @pytest.mark.slow
-def test_a_design_and_the_explorer_say_what_was_read(tmp_path, stepped_robot):
+def test_a_design_says_what_was_read(tmp_path, stepped_robot):
     from cddf_jax.designing.task_file import read_task
-    from cddf_jax.explorer.server import sections_as_read
 
     (tmp_path / "task.toml").write_text(
         'robot = "robot.toml"\n[free]\nyoungs_modulus = { bounds = ["1 GPa", "3 GPa"] }\n'
@@ -279,9 +278,6 @@ def test_a_design_and_the_explorer_say_what_was_read(tmp_path, stepped_robot):
     )
     (line,) = read_task(tmp_path / "task.toml").read_as
     assert "outer_radius: straight lines through 6 points" in line
-    words, picture = sections_as_read(read_robot_file(stepped_robot).columns)
-    assert "outer_radius: straight lines through 6 points" in words.object
-    assert picture.object.startswith(b"\x89PNG")
 
 
 def test_scattered_points_are_refused_with_the_remedy():
@@ -295,7 +291,7 @@ def test_a_table_that_was_written_gives_the_body_back(read):
     spline = cddf.Spline([0.0, 0.05, 0.09, LENGTH], [0.02, 0.018, 0.0145, 0.013])
     robot = cddf.Manipulator(LENGTH, spline, 0.007, tendons, 1.4e6, 0.42)
     sections = read(cross_sections_csv(robot))
-    again = cddf.Manipulator(**sections._asdict(), youngs_modulus=1.4e6, friction_coefficient=0.42)
+    again = cddf.Manipulator(**sections.body, youngs_modulus=1.4e6, friction_coefficient=0.42)
     assert [tendon.side for tendon in again.tendons] == [-1, +1]
     assert again.tendons[0].end is None
     np.testing.assert_allclose(again.tendons[1].end, 0.1, rtol=0, atol=1e-12)

@@ -240,7 +240,6 @@ def test_loops_of_several_tendons_and_under_loads_are_traces():
             "base tensions vary along 'base_tension_1', 'base_tension_2'; give as history the name of the axis",
         ),
         ({"base_tension": PULL}, {"sensitivities": ("youngs_modulus",)}, "right to about 1 % only; leave sensitiv"),
-        ({"base_tension": PULL}, {"precision": "float32"}, "of several tendons or under loads needs float64"),
         ({"base_tension": PULL}, {"short_steps": 1}, "short_steps must be a whole number of 2 or more, got 1"),
         ({"base_tension": PULL}, {"outputs": ("num_turns",)}, "'num_turns' is not an output of a history"),
         (
@@ -388,7 +387,8 @@ def test_sensitivities_are_those_of_reverse_mode():
 
 
 def test_single_precision():
-    single = cddf.sweep(paper_body(), {"base_tension": TENSIONS}, outputs=["tip_tension"], precision="float32")
+    with jax.enable_x64(False):
+        single = cddf.sweep(paper_body(), {"base_tension": TENSIONS}, outputs=["tip_tension"])
     assert single.tip_tension.dtype == np.float32
     assert single.attrs["precision"] == "float32"
     double = TENSIONS / (1 + TENSIONS * 0.42 * compliance(paper_body()) / 1.4e6)
@@ -396,9 +396,9 @@ def test_single_precision():
     assert np.max(np.abs(single.tip_tension[:, 0] - double)) > 0
 
 
-def test_float64_without_x64_is_refused():
-    with jax.enable_x64(False), pytest.raises(cddf.InputError, match="jax_enable_x64"):
-        cddf.sweep(paper_body(), {"base_tension": TENSIONS}, precision="float64")
+def test_short_steps_in_single_precision_are_refused():
+    with jax.enable_x64(False), pytest.raises(cddf.InputError, match="several tendons or loads need 64-bit numbers"):
+        cddf.sweep(PAIR, {"base_tension": PULL}, history=True)
 
 
 def test_a_single_range_of_a_dictionary_of_one_is_still_labelled():
@@ -407,13 +407,11 @@ def test_a_single_range_of_a_dictionary_of_one_is_still_labelled():
 
 
 OWN_FRICTION = replace(paper_body(), tendons=(replace(paper_body().tendons[0], friction_coefficient=0.3),))
-ENDS_EARLY = replace(paper_body(), tendons=(replace(paper_body().tendons[0], end=0.1),))
 BAD = {
     "no manipulator": ({"base_tension": [1.0]}, {"manipulator": "robot.toml"}, "manipulator must be a Manipulator"),
     "no loads": ({"base_tension": [1.0]}, {"loads": (0.0, -5.0)}, "loads must be Loads"),
     "memory in words": ({"base_tension": [1.0]}, {"memory": "2 GB"}, "memory must be a number of bytes"),
     "one name": ({"base_tension": [1.0]}, {"outputs": "tip_angle"}, "outputs must be a tuple of names"),
-    "a name twice": ({"base_tension": [1.0]}, {"outputs": ["tip_angle"] * 2}, "outputs names something twice"),
     "tension twice": ({"base_tension": [1.0]}, {"base_tension": 1.0}, "given and an axis"),
     "no function": ({"base_tension": [1.0]}, {"observables": {"x": 3}}, "'x' must be a function"),
     "a bad function": (
@@ -423,11 +421,6 @@ BAD = {
     ),
     "direction": ({"direction": [1.0, 0.0]}, {"base_tension": 1.0}, "must hold 1 for sliding in and -1"),
     "one direction": ({"base_tension": [1.0]}, {"direction": 0}, "direction is 1 for sliding in and -1"),
-    "an end beyond the tip": (
-        {"tendons.0.end": [0.1, 0.2]},
-        {"base_tension": 1.0, "manipulator": ENDS_EARLY},
-        "holds 0.2 m, which is not on the body",
-    ),
     "a slash": ({"a/b": {"base_tension": [1.0]}}, {}, "cannot be called 'a/b'"),
     "no stretch": ({"tendons.0.free_length": [0.1]}, {"base_tension": 1.0}, "the tendon does not stretch"),
     "overruled": (
@@ -475,7 +468,6 @@ BAD = {
     "sensitivity": ({"base_tension": [1.0]}, {"sensitivities": ["nodes"]}, "nothing can be differentiated by 'nodes'"),
     "absent": ({"base_tension": [1.0]}, {"sensitivities": ["drag"]}, "has no 'drag' to differentiate by"),
     "overlap": ({"base_tension": [1.0]}, {"sensitivities": ["base_tension_1"]}, "overlap"),
-    "precision": ({"base_tension": [1.0]}, {"precision": "float16"}, "'float32' or 'float64'"),
     "chunk": ({"base_tension": [1.0]}, {"chunk": 0}, "chunk must be"),
     "fields over nodes": (
         {"nodes": [8, 16]},

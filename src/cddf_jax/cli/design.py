@@ -49,10 +49,6 @@ def design(
     options.note(read.read_as)
     if pareto is None:
         report = design_report(read, read.design())
-    elif read.choices or read.options.starts > 1 or any(weight != 1 for weight, _ in read.objective):
-        raise InputError(
-            "--pareto: choices, starts and weights have no place in a trade-off; take them out of the task"
-        )
     else:
         report = trade_off_report(read, read.pareto_front(pareto))
     options.give(report, out, as_json=as_json)

@@ -10,8 +10,7 @@ from .. import units
 from ..errors import InputError
 from ..files.actuation import read_actuation
 from ..robot.manipulator import Manipulator
-from ..sweeping.axes import OPTIONS, Dimension as Axis, dimensions_of
-from ..sweeping.sampling import latin_hypercube
+from ..sweeping.axes import OPTIONS, Dimension as Axis, dimensions_of, latin_hypercube
 from ..sweeping.sweep import Sweep
 from .options import read_all
 

@@ -13,8 +13,6 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from ..errors import InputError
-from ..history.history import History
-from ..history.stepped import angles_along
 from ..history.trace import trace
 from ..mechanics.fields import AnyFields
 from ..numerics.elements import Elements, elements_between, smooth_pieces
@@ -27,7 +25,6 @@ from ..units import Dimension
 from .load_cases import LoadCase
 
 BODY_NODES = 48  # in each smooth piece, for integrals over a body without an equilibrium
-LOOP_STEPS = 8  # short steps in each of the four steps of a loop without an exact answer
 FLAT = "is zero of a body in the plane; give a tendon an angle, or a load three components"
 SEVERAL_ACROSS = "has two directions across the tip in space; take 'tip_stiffness_x', 'tip_stiffness_y' or one of z"
 OF_RADII = ("volume", "outer_radius", "inner_radius", "wall_thickness", "clearance", "taper", "slope", "strain")
@@ -205,26 +202,11 @@ def _towards(axis: int) -> Callable[[Equilibrium], Array]:
 
 def _hysteresis(view: BodyView) -> Array:
     """The tip angle at a tension during release minus that during pull, in a loop that repeats."""
-    case = view.case
-    assert case is not None
-    assert case.loop is not None
-    at = view.equilibrium.base_tension
-    path = case.loop_path(at)
-    if at.size == 1 and case.loads is None:
-        angle = trace(view.body, path[:, 0], nodes=view.nodes, max_turns=3, throw=False).tip_angle
-    else:
-        angle = angles_along(view.body, path, case.loads, nodes=view.nodes, short_steps=LOOP_STEPS)
-    high, _, low, _ = path
-    return jnp.where((at - low) @ (high - at) > 0, jnp.sign(angle[0] - angle[2]) * (angle[1] - angle[3]), jnp.nan)
-
-
-def loop_in_short_steps(view: BodyView) -> History | None:
-    """The loop of a load case with its error estimate; None if its answer is exact."""
-    case = view.case
-    if case is None or case.loop is None or (view.body.num_tendons == 1 and case.loads is None):
-        return None
-    path = case.loop_path(view.equilibrium.base_tension)
-    return trace(view.body, path, case.loads, nodes=view.nodes, short_steps=LOOP_STEPS, throw=False)
+    assert view.case is not None
+    assert view.case.loop is not None
+    (low, high), at = jnp.asarray(view.case.loop), view.equilibrium.base_tension[0]
+    angle = trace(view.body, jnp.stack([high, at, low, at]), nodes=view.nodes, max_turns=3, throw=False).tip_angle
+    return jnp.where((low < at) & (at < high), jnp.sign(angle[0] - angle[2]) * (angle[1] - angle[3]), jnp.nan)
 
 
 BODY_QUANTITIES: dict[str, BodyQuantity] = {

@@ -1,11 +1,9 @@
 """The minimum of a smooth function under smooth limits: SciPy's SLSQP with exact derivatives, checked by multipliers.
 
 The multipliers are computed here. SciPy's SLSQP returns no multipliers of bounds, and the others of its last step only.
-Here they are needed at any point, also where several sets of multipliers satisfy the conditions.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -14,8 +12,8 @@ from scipy.optimize import linprog, lsq_linear, minimize
 
 TOLERANCE = 1e-6  # scaled: of limits, and of the first-order optimality
 ACTIVE = 1e-5  # scaled: a limit or bound with a smaller margin is active
+UNIQUE = 1e-5  # relative: multipliers that differ by less are the same
 REFUSED = 1e3  # times the objective: the value where the function has no answer
-RUNS = 4  # of SLSQP; each starts where the one before ended
 
 Vector = Float[np.ndarray, " _"]
 Matrix = Float[np.ndarray, "_ _"]
@@ -39,8 +37,7 @@ class Point(NamedTuple):
         return float(max(np.max(-self.inequality, initial=0.0), np.max(np.abs(self.equality), initial=0.0)))
 
 
-@dataclass(frozen=True)
-class Optimality:
+class Optimality(NamedTuple):
     """The first-order conditions of Karush, Kuhn and Tucker at a point, with the multipliers that satisfy them best."""
 
     residual: float  # largest entry of the Lagrangian's gradient, over that of the objective's or 1
@@ -51,37 +48,34 @@ class Optimality:
     active: np.ndarray  # indices of the active limits among inequalities, lower bounds, upper bounds, equalities
     slopes: Matrix  # of the active limits
 
-    def range_of(
+    def price(
         self,
         inequality: ArrayLike = 0.0,
         equality: ArrayLike = 0.0,
         *,
         lower: ArrayLike = 0.0,
         upper: ArrayLike = 0.0,
-    ) -> tuple[float, float]:
-        """The smallest and the largest weighted sum of multipliers that satisfy the conditions equally well.
+    ) -> float:
+        """A weighted sum of multipliers: how much the objective becomes smaller if limits are relaxed by the weights.
 
-        They differ where the active limits do not determine the multipliers uniquely. The optimal value then changes
-        differently to both sides: relaxing the limits gains the smallest sum, tightening them costs the largest sum.
-
-        Args:
-            inequality, equality, lower, upper: weights of the multipliers of limits and bounds; a number for all of
-                one kind, or one for each.
+        NaN if several sets of multipliers satisfy the conditions and give different sums: the best objective has a
+        kink there. The weights are a number for all limits of one kind, or one for each.
         """
         if not self.active.size:
-            return 0.0, 0.0
+            return 0.0
         multipliers = self.inequality, self.lower, self.upper, self.equality
         given = zip((inequality, lower, upper, equality), multipliers, strict=True)
         cost = np.concatenate([np.broadcast_to(np.asarray(weights), own.shape) for weights, own in given])[self.active]
-        own = np.concatenate(multipliers)[self.active]
         signed = self.active < sum(map(len, multipliers)) - self.equality.size  # an equality's may be negative
         options = {
             "A_eq": self.slopes.T,
-            "b_eq": self.slopes.T @ own,
+            "b_eq": self.slopes.T @ np.concatenate(multipliers)[self.active],
             "bounds": [(0.0 if positive else None, None) for positive in signed],
         }
         least, most = linprog(cost, **options), linprog(-cost, **options)
-        return least.fun if least.status == 0 else -np.inf, -most.fun if most.status == 0 else np.inf
+        if least.status != 0 or most.status != 0:
+            return np.nan
+        return least.fun if -most.fun - least.fun <= UNIQUE * max(1.0, abs(least.fun), abs(most.fun)) else np.nan
 
 
 class LocalMinimum(NamedTuple):
@@ -89,16 +83,18 @@ class LocalMinimum(NamedTuple):
 
     point: Point
     optimality: Optimality
-    history: list[tuple[float, float]]  # objective and violation of every iterate
-    evaluations: int
+    iterations: int
 
     @property
     def feasible(self) -> bool:
         return self.point.violation <= TOLERANCE
 
+    @property
+    def stationary(self) -> bool:
+        return self.optimality.residual <= TOLERANCE
+
 
 VectorFunction = Callable[[Vector], Point]  # an objective and its limits, with derivatives
-AfterIteration = Callable[[int, Point], None]
 
 
 def minimise_constrained(
@@ -108,65 +104,49 @@ def minimise_constrained(
     upper: Vector,
     *,
     max_iterations: int = 300,
-    after: AfterIteration = lambda count, point: None,
+    after: Callable[[Point], None] = lambda point: None,
 ) -> LocalMinimum:
-    """Search from one start with SLSQP, which starts again where it ended before it reached a stationary point.
+    """Search from one start with SLSQP.
 
     Args:
         function: values and exact first derivatives anywhere within the bounds.
         start: (unknowns,), usable.
         lower, upper: bounds of the unknowns, infinite for none.
-        max_iterations: of all runs of SLSQP together.
-        after: called after every iteration with its number and its point.
+        max_iterations: at most.
+        after: called after every iteration with its point.
     """
     seen = _Seen(function, np.clip(start, lower, upper))
-    history: list[tuple[float, float]] = []
-
-    def iterated(x: Vector) -> None:
-        point = seen(x)
-        history.append((point.objective, point.violation))
-        after(len(history), point)
-
-    def run(x: Vector) -> LocalMinimum:
-        with np.errstate(all="ignore"):
-            found = minimize(
-                lambda x: seen(x).objective,
-                x,
-                jac=lambda x: seen(x).gradient,
-                bounds=list(zip(lower, upper, strict=True)),
-                constraints=[
-                    {"type": "ineq", "fun": lambda x: seen(x).inequality, "jac": lambda x: seen(x).inequality_slopes},
-                    {"type": "eq", "fun": lambda x: seen(x).equality, "jac": lambda x: seen(x).equality_slopes},
-                ],
-                method="SLSQP",
-                callback=iterated,
-                options={"maxiter": max_iterations - len(history), "ftol": 1e-14},
-            )
-        last = seen(np.clip(found.x, lower, upper))
-        point = last if last.usable and last.violation <= max(TOLERANCE, seen.best.violation) else seen.best
-        return LocalMinimum(point, optimality(point, lower, upper), history, seen.count)
-
-    local = run(np.clip(start, lower, upper))
-    for _ in range(RUNS - 1):
-        if not local.feasible or local.optimality.residual <= TOLERANCE or len(history) >= max_iterations:
-            break
-        local = run(local.point.x)
-    return local
+    with np.errstate(all="ignore"):
+        found = minimize(
+            lambda x: seen(x).objective,
+            seen.last.x,
+            jac=lambda x: seen(x).gradient,
+            bounds=list(zip(lower, upper, strict=True)),
+            constraints=[
+                {"type": "ineq", "fun": lambda x: seen(x).inequality, "jac": lambda x: seen(x).inequality_slopes},
+                {"type": "eq", "fun": lambda x: seen(x).equality, "jac": lambda x: seen(x).equality_slopes},
+            ],
+            method="SLSQP",
+            callback=lambda x: after(seen(x)),
+            options={"maxiter": max_iterations, "ftol": 1e-14},
+        )
+    last = seen(np.clip(found.x, lower, upper))
+    point = last if last.usable and last.violation <= max(TOLERANCE, seen.best.violation) else seen.best
+    return LocalMinimum(point, optimality(point, lower, upper), found.nit)
 
 
 class _Seen:
     """The function, evaluated once at each point.
 
-    Where it has no answer, a large objective and the slopes of the point before make the optimiser go back.
+    Where it has no answer, a large objective and the slopes of the best point make the optimiser go back.
     """
 
     def __init__(self, function: VectorFunction, start: Vector):
-        self.function, self.count = function, 1
+        self.function = function
         self.last = self.best = function(start)
 
     def __call__(self, x: Vector) -> Point:
         if not np.array_equal(x, self.last.x):
-            self.count += 1
             self.last = self.function(np.array(x))
             if not self.last.usable:
                 wall = abs(self.best.objective) * REFUSED + REFUSED
@@ -193,38 +173,30 @@ def optimality(point: Point, lower: Vector, upper: Vector) -> Optimality:
         fit = lsq_linear(slopes[active].T, point.gradient, (least, np.inf), method="bvls", tol=1e-14)
         multipliers[active] = fit.x
     left = float(np.max(np.abs(point.gradient - multipliers @ slopes)))
-    parts = np.split(multipliers, np.cumsum([part.size for part in margins[:-1]]))
-    inequality, at_lower, at_upper, equality = parts
     residual = left / max(1.0, float(np.max(np.abs(point.gradient))))
-    return Optimality(residual, inequality, at_lower, at_upper, equality, active, slopes[active])
+    inequality, *bounds, equality = np.split(multipliers, np.cumsum([part.size for part in margins[:-1]]))
+    return Optimality(residual, inequality, bounds[0], bounds[1], equality, active, slopes[active])
 
 
-def relaxed(function: VectorFunction, rigid: int = 0) -> VectorFunction:
+def relaxed(function: VectorFunction) -> VectorFunction:
     """The problem of the least violation: one more unknown, the last, by which each limit may be violated.
 
     The objective is this unknown. Its minimum is the least violation possible, and the multipliers there show which
     limits contradict each other. The inequalities are those of the function, then its equalities from above, then
     from below.
-
-    Args:
-        function: whose limits are relaxed.
-        rigid: how many inequalities, the last ones, may not be violated.
     """
 
     def values(x: Vector) -> Point:
         inner, by = function(x[:-1]), float(x[-1])
-        soft = inner.inequality.size - rigid
-        give = np.concatenate([np.ones(soft), np.zeros(rigid), np.ones(2 * inner.equality.size)])
-        margins = np.concatenate([inner.inequality, inner.equality, -inner.equality]) + by * give
+        margins = np.concatenate([inner.inequality, inner.equality, -inner.equality]) + by
         slopes = np.concatenate([inner.inequality_slopes, inner.equality_slopes, -inner.equality_slopes])
-        gradient = np.append(np.zeros(x.size - 1), 1.0)
-        none = np.zeros((0, x.size))
-        return Point(x, by, gradient, margins, np.column_stack([slopes, give]), np.zeros(0), none, inner.usable)
+        slopes = np.column_stack([slopes, np.ones(margins.size)])
+        return Point(x, by, np.eye(x.size)[-1], margins, slopes, np.zeros(0), np.zeros((0, x.size)), inner.usable)
 
     return values
 
 
-def least_violation(function: VectorFunction, start: Vector, lower: Vector, upper: Vector, rigid: int) -> LocalMinimum:
+def least_violation(function: VectorFunction, start: Vector, lower: Vector, upper: Vector) -> LocalMinimum:
     """The minimum of `relaxed`: the point that violates the limits least. Its objective is the largest violation."""
     first = np.append(start, function(start).violation)
-    return minimise_constrained(relaxed(function, rigid), first, np.append(lower, 0.0), np.append(upper, np.inf))
+    return minimise_constrained(relaxed(function), first, np.append(lower, 0.0), np.append(upper, np.inf))

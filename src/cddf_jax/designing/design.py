@@ -19,16 +19,14 @@ from ..statics.status import words_of
 from ..units import quantity
 from .body_quantities import OF_RADII
 from .free_numbers import Bounds, FreeNumbers, free_numbers_of
-from .limits import Limit
 from .load_cases import LoadCase, case_numbers
-from .objectives import Even, Least, Objective
+from .objectives import Even, Least, Limit, Objective
 from .problem import USABLE, DesignEvaluation, DesignProblem, Term
 from .results import Design, design_of, displayed
 from .search import WANDERING, DesignSearch
 
 STATIONS = 33  # evenly spaced places at which limits along the body are evaluated
 CROSSING = 0.99  # largest kappa d; at 1 fibres cross
-FAR = 1e3  # times the size of an objective: a level that limits nothing
 THINNEST = 1e-3  # of the outer radius at the start: the least wall thickness
 Aim = Objective | Callable[[Manipulator, Equilibrium], ArrayLike]
 
@@ -165,13 +163,8 @@ def problem_of(
     constraints: Limit | Sequence[Limit],
     cases: LoadCase | Sequence[LoadCase],
     options: DesignOptions,
-    *,
-    capped: bool = False,
 ) -> DesignProblem:
-    """The problem of `design`, checked, with sizes taken from the start.
-
-    `capped`: whether every objective also gets a level that it may not exceed, far away at the start.
-    """
+    """The problem of `design`, checked, with sizes taken from the start."""
     if jnp.result_type(float) != jnp.float64:
         raise InputError(
             'design: needs double precision; jax.config.update("jax_enable_x64", True) before anything else'
@@ -192,7 +185,7 @@ def problem_of(
         manipulator,
         numbers,
         used,
-        terms=tuple(Term(aim, jnp.asarray(weight, float), one, one if capped else None) for weight, aim in objectives),
+        terms=tuple(Term(aim, jnp.asarray(weight, float), one) for weight, aim in objectives),
         limits=tuple(jax.tree.map(jnp.asarray, replace(limit, scale=one)) for limit in limits),
         stations=jnp.asarray(_stations(manipulator)),
         implied=(*[False] * len(constraints), *[True] * len(implied)),
@@ -208,10 +201,7 @@ def _sized(problem: DesignProblem, limits: Sequence[Limit]) -> DesignProblem:
     found = problem.evaluation(start)
     _demand_start(problem, found, limits)
     sizes = [jnp.asarray(float(np.max(np.abs(aim))) or 1.0, float) for aim in found.aims]
-    terms = [
-        replace(term, reference=size, most=None if term.most is None else FAR * size)
-        for term, size in zip(problem.terms, sizes, strict=True)
-    ]
+    terms = [replace(term, reference=size) for term, size in zip(problem.terms, sizes, strict=True)]
     margins = [float(np.max(np.abs(margin), initial=0.0)) for margin in found.margins]
     scales = [jnp.asarray(limit.size(margin), float) for limit, margin in zip(limits, margins, strict=True)]
     scaled = [replace(limit, scale=scale) for limit, scale in zip(problem.limits, scales, strict=True)]

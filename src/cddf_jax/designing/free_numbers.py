@@ -13,6 +13,7 @@ from ..errors import InputError
 from ..numerics.given_numbers import check_numbers
 from ..robot.manipulator import Manipulator
 from ..statics.named_numbers import Case, stem_and_tendon, tip_of_winding, unit_of_name
+from ..units import DIMENSION_OF, Dimension, shown
 from .load_cases import LoadCase
 
 VALUE = re.compile(r"(pieces\.\d+\.?)*(base|tip|values\.\d+|\d+)?")  # a part of a profile
@@ -39,9 +40,20 @@ class FreeNumbers(eqx.Module):
         names = self.names[i]
         return names[0] if len(names) == 1 else names[0].replace("tendons.0.", "tendons.*.")
 
+    def in_words(self, z: Vector, chosen: np.ndarray) -> str:
+        """Some of the numbers with their names, as in "inner_radius.tip = 2 mm"."""
+        labels = {int(i): self.label(int(i)) for i in np.flatnonzero(chosen)}
+        numbers = np.asarray(self.numbers(z))
+        return ", ".join(f"{label} = {number_in_words(label, float(numbers[i]))}" for i, label in labels.items())
+
     @property
-    def scaled_start(self) -> Vector:
-        return self.scaled(self.start)
+    def scaled_start(self) -> np.ndarray:
+        return np.asarray(self.scaled(self.start))
+
+    @property
+    def ranges(self) -> np.ndarray:
+        """The upper bounds of the scaled numbers; their lower bounds are 0."""
+        return np.asarray(self.scaled(self.upper))
 
     def numbers(self, z: Vector) -> Vector:
         return self.lower + self.size * z
@@ -53,6 +65,16 @@ class FreeNumbers(eqx.Module):
         """Body and load case with the free numbers in them."""
         x = self.numbers(jnp.asarray(z))
         return case.with_numbers(manipulator, {name: x[i] for i, names in enumerate(self.names) for name in names})
+
+
+def number_in_words(name: str, value: float) -> str:
+    """A number of a body or a case with the unit that follows from its name."""
+    return shown(value, dimension_of_number(name))
+
+
+def dimension_of_number(name: str) -> Dimension:
+    """The dimension of a number of a body or a case; the zero of the angle of a tendon is arbitrary."""
+    return DIMENSION_OF[unit_of_name(name)]
 
 
 def free_numbers_of(case: Case, free: Sequence[str], bounds: Bounds) -> FreeNumbers:
@@ -80,7 +102,9 @@ def free_numbers_of(case: Case, free: Sequence[str], bounds: Bounds) -> FreeNumb
             raise InputError(f"design: {name!r} and {tip_of_winding(name)!r} are both free; leave one out")
     names = tuple(tied for tied, *_ in rows)
     start, low, high = np.transpose([numbers for _, *numbers in rows])
-    origin = (start == 0) | [is_angle(tied[0]) for tied in names]  # numbers that have no size of their own
+    origin = (start == 0) | [
+        dimension_of_number(tied[0]) == "angle" for tied in names
+    ]  # numbers that have no size of their own
     size = np.minimum(high - low, np.where(origin, np.inf, np.abs(start)))
     return FreeNumbers(names, start, low, high, size)
 
@@ -94,14 +118,9 @@ def _shared(case: Case, group: str, tied: tuple[str, ...]) -> float:
     return values[0]
 
 
-def is_angle(name: str) -> bool:
-    """Whether a number is the angle of a tendon, whose zero is arbitrary."""
-    return unit_of_name(name) == "rad"
-
-
 def _bounds_of(group: str, value: float, bounds: Bounds) -> tuple[float, float]:
     if group not in bounds:
-        if is_angle(group):
+        if dimension_of_number(group) == "angle":
             return value - np.pi, value + np.pi
         if value <= 0:
             raise InputError(f"design: {group!r} starts at {value:g}; give it bounds")

@@ -42,10 +42,8 @@ class LoadCase(eqx.Module):
         numbers: numbers of the body that have other values in this case, by name, e.g. {"youngs_modulus": 1.5e6}.
         weight: of this case in means over the cases, above 0.
         name: in tables and messages.
-        loop: (low, high), N, between which the base tension goes up and down, for the quantity "hysteresis". This is
-            evaluated at `base_tension`, which lies between them. With several tendons it is the tension of tendon 1,
-            and the others stay constant; or low and high hold the tensions of all, (2, tendons), which change linearly
-            from one to the other.
+        loop: (low, high), N, between which the base tension goes up and down, for the quantity "hysteresis" of one
+            tendon without loads. This is evaluated at `base_tension`, which lies between them.
     """
 
     base_tension: PyTree = eqx.field(converter=lambda given: jax.tree.map(as_number, given))
@@ -56,16 +54,14 @@ class LoadCase(eqx.Module):
     )
     weight: Scalar = eqx.field(default=1.0, converter=as_number)
     name: str = eqx.field(default="", static=True)
-    loop: Float[Array | np.ndarray, "2 *tendons"] | None = eqx.field(
+    loop: Float[Array | np.ndarray, "2"] | None = eqx.field(
         default=None, converter=lambda given: None if given is None else as_number(given)
     )
 
     def __check_init__(self):
-        if isinstance(self.loop, np.ndarray) and not _is_loop(self.loop):
-            raise InputError(
-                "LoadCase: loop must be two tensions (low, high), N, or two rows of those of all tendons, got "
-                f"{self.loop.tolist()}"
-            )
+        loop = self.loop
+        if isinstance(loop, np.ndarray) and not (loop.shape == (2,) and 0 <= loop[0] < loop[1] < np.inf):
+            raise InputError(f"LoadCase: loop must be two tensions (low, high), N, got {loop.tolist()}")
         if isinstance(self.weight, np.ndarray) and not (np.isfinite(self.weight) and self.weight > 0):
             raise InputError(f"LoadCase: the weight must be above 0, got {self.weight:g}")
 
@@ -96,41 +92,15 @@ class LoadCase(eqx.Module):
         own = self.name or "the load case"
         if self.loop is None:
             raise InputError(f"design: 'hysteresis' needs a loop of {own}, as in LoadCase(40.0, loop=(5.0, 75.0))")
+        if manipulator.num_tendons > 1 or self.loads is not None:
+            raise InputError("design: 'hysteresis' is known for one tendon without loads; follow others with trace")
         entries = jax.tree.leaves(self.base_tension, is_leaf=lambda entry: isinstance(entry, Target | TipPosition))
         if any(isinstance(entry, Target | TipPosition) for entry in entries):
             raise InputError(f"design: 'hysteresis' needs a tension of {own} in place of a target; give one in N")
-        count = manipulator.num_tendons
-        if np.ndim(self.loop) == 2 and np.shape(self.loop)[1] != count:
-            raise InputError(
-                f"design: the loop of {own} has tensions of {np.shape(self.loop)[1]} tendons, but the body has {count}"
-            )
-        _, low, high, at = np.asarray(self.loop_path(np.broadcast_to(np.ravel(entries), (count,))))[[0, 2, 0, 1]]
-        share = (at - low) @ (high - low) / np.sum((high - low) ** 2)
-        if not 0 < share < 1 or not np.allclose(at, low + share * (high - low), rtol=1e-6, atol=0):
-            inside = f"must lie inside its loop, {_tensions(low)} to {_tensions(high)} N"
-            raise InputError(f"design: the base tension of {own}, {_tensions(at)} N, {inside}")
-
-    def loop_path(self, at: Float[Array | np.ndarray, " tendons"]) -> Float[Array, "4 tendons"]:
-        """Base tensions, N: from rest to the high end, down to `at`, to the low end, and up to `at` again.
-
-        A loop closes after one turn: the next ends are the same for any earlier history.
-        """
-        low, high = jnp.asarray(self.loop)
-        at = jnp.asarray(at)
-        if jnp.ndim(low) == 0:
-            low, high = at.at[0].set(low), at.at[0].set(high)
-        return jnp.stack([high, at, low, at])
-
-
-def _is_loop(loop: np.ndarray) -> bool:
-    """Whether a loop is low and high of one tendon, or two different rows of the tensions of several."""
-    if not np.all((loop >= 0) & np.isfinite(loop)) or len(loop) != 2:
-        return False
-    return bool(loop[0] < loop[1]) if loop.ndim == 1 else loop.ndim == 2 and bool(np.any(loop[0] != loop[1]))
-
-
-def _tensions(numbers: Float[np.ndarray, " tendons"]) -> str:
-    return ", ".join(f"{number:g}" for number in np.asarray(numbers))
+        low, at, high = self.loop[0], float(np.ravel(entries)[0]), self.loop[1]
+        if not low < at < high:
+            inside = f"must lie inside its loop, {low:g} to {high:g} N"
+            raise InputError(f"design: the base tension of {own}, {at:g} N, {inside}")
 
 
 def uncertain_cases(case: LoadCase, fit: "Fit", num: int = 16, seed: int = 0) -> tuple[LoadCase, ...]:

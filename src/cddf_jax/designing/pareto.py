@@ -10,10 +10,10 @@ import numpy as np
 from ..errors import InputError
 from ..robot.manipulator import Manipulator
 from ..units import Dimension
-from .design import FAR, Aim, DesignOptions, problem_of, weighted
+from .design import Aim, DesignOptions, problem_of, weighted
 from .free_numbers import Bounds
-from .limits import Limit
 from .load_cases import LoadCase
+from .objectives import Limit
 from .problem import DesignProblem
 from .results import Design, design_of, indifference_in_words
 from .search import DesignSearch, SearchResult, indifferent
@@ -30,7 +30,6 @@ class ParetoFront:
     dimensions: tuple[Dimension, Dimension]  # of their values
     values: np.ndarray  # (points, 2) of the two objectives; NaN where no body was found
     start: tuple[float, float]  # of the body at the start
-    exchange_rate: np.ndarray  # (points,) how much of the first objective a unit of the second costs; NaN at the ends
     designs: tuple[Design, ...]  # one for each point
     remarks: tuple[str, ...]  # further notes in words
 
@@ -78,7 +77,7 @@ def pareto_front(
     if options.starts != 1:
         raise InputError(f"pareto_front: starts must be 1, got {options.starts}; a front has one start")
     pairs = weighted([(1.0, aim) for aim in objectives])
-    problem = problem_of(manipulator, pairs, free, bounds or {}, constraints, cases, options, capped=True)
+    problem = problem_of(manipulator, pairs, free, bounds or {}, constraints, cases, options)
     found = _searched(problem, num, options.max_iterations)
     return _front(problem, found, manipulator, num)
 
@@ -91,7 +90,7 @@ def _searched(problem: DesignProblem, num: int, max_iterations: int) -> list[Sea
         searches = DesignSearch(_at(problem, small, level), max_iterations)
         return min((searches.from_start(z) for z in starts), key=lambda each: each.rank)
 
-    start = np.asarray(problem.free.scaled_start)
+    start = problem.free.scaled_start
     first = search(0, np.inf, [start])
     found = [first, search(1, np.inf, [first.z, start])]
     while len(found) < num:
@@ -110,25 +109,9 @@ def _searched(problem: DesignProblem, num: int, max_iterations: int) -> list[Sea
 
 def _at(problem: DesignProblem, small: int, level: float) -> DesignProblem:
     """The problem in which one objective is made small, and the other is below a level, which may be infinite."""
-    terms = [replace(term, weight=jnp.asarray(SECOND)) for term in problem.terms]
-    terms[small] = replace(terms[small], weight=jnp.asarray(1.0))
-    other = terms[1 - small]
-    terms[1 - small] = replace(other, most=jnp.minimum(jnp.asarray(level, float), FAR * other.reference))
-    return replace(problem, terms=tuple(terms))
-
-
-def _rate(result: SearchResult) -> float:
-    """The multiplier of the level, in units of the first objective per unit of the second."""
-    problem, found = result.problem, result.evaluation
-    begin = sum(np.size(margin) for margin in found.margins)
-    for i, aim in enumerate(found.aims):
-        size = problem.below_level(i, aim).size
-        price = float(np.sum(result.local.optimality.inequality[begin : begin + size]))
-        begin += size
-        if price > 0:
-            first, second = (float(term.reference) for term in problem.terms)
-            return (price if i == 1 else 1.0 / price) * first / second
-    return float("nan")
+    weights, levels = jnp.full(2, SECOND).at[small].set(1.0), jnp.full(2, jnp.inf).at[1 - small].set(level)
+    terms = zip(problem.terms, weights, levels, strict=True)
+    return replace(problem, terms=tuple(replace(term, weight=own, most=most) for term, own, most in terms))
 
 
 def _front(problem: DesignProblem, found: list[SearchResult], start: Manipulator, num: int) -> ParetoFront:
@@ -141,13 +124,12 @@ def _front(problem: DesignProblem, found: list[SearchResult], start: Manipulator
     if len(found) < num and not missing:
         remarks = ["one body is best in both objectives: they do not conflict"]
     if found[0].feasible:
-        remarks += [indifference_in_words(problem, found[0].z, i) for i in indifferent(problem, found[0].z)]
+        remarks += indifference_in_words(problem, indifferent(problem, found[0].z))
     return ParetoFront(
         names=(str(first), str(second)),
         dimensions=(first.dimension, second.dimension),
         values=np.asarray(values),
         start=(began[0].start, began[1].start),
-        exchange_rate=np.asarray([_rate(result) if result.feasible else np.nan for result in found]),
         designs=designs,
         remarks=tuple(remarks),
     )

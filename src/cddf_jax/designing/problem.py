@@ -15,9 +15,8 @@ from ..statics.status import Status
 from .body_quantities import BodyView
 from .constrained import Point
 from .free_numbers import FreeNumbers, Vector
-from .limits import Limit
 from .load_cases import LoadCase, alike, stacked
-from .objectives import Objective
+from .objectives import Limit, Objective
 
 Answer = TypeVar("Answer", bound=PyTree)
 Part = Float[Array | np.ndarray, " _"]  # of a vector
@@ -33,7 +32,7 @@ class Term(eqx.Module):
     objective: Objective
     weight: Scalar
     reference: Scalar  # its size at the start, relative to which it counts
-    most: Scalar | None  # a level that it must not exceed, SI
+    most: Scalar | None = None  # a level that it must not exceed, SI; infinite for none
 
 
 class DesignEvaluation(NamedTuple):
@@ -112,29 +111,24 @@ class DesignProblem(eqx.Module):
         return jax.tree.map(np.asarray, _values_and_slopes(self, jnp.asarray(x))[2])
 
     def _evaluate(self, z: Vector) -> DesignEvaluation:
-        """Objectives, margins and zeros at scaled free numbers."""
-        functions = (
-            [(term.objective.known.bent, term.objective.values) for term in self.terms],
-            [(limit.known.bent, limit.inequalities) for limit in self.limits],
-            [(limit.known.bent, limit.equalities) for limit in self.limits],
-        )
-
-        def part(view: BodyView, *, bent: bool) -> tuple[tuple[Array | None, ...], ...]:
-            """The values that need the bent body, or those that do not; None for the others."""
-            return tuple(tuple(of(view) if needs == bent else None for needs, of in some) for some in functions)
-
-        def of_case(case: LoadCase) -> tuple[PyTree, Array]:
-            view = self.view(z, case)
-            return part(view, bent=True), view.equilibrium.status
-
+        """Objectives, margins and zeros at scaled free numbers; of the body alone once, else of every case."""
         body = self.body(z)
-        values = jax.tree.map(lambda x: x[None], part(BodyView(body, self._places(body)), bent=False))
-        codes = jnp.zeros((0,), int)
-        if any(needs for some in functions for needs, _ in some):
-            solved, codes = self._of_every_case(of_case)
-            values = eqx.combine(values, solved)
-        aims, margins, zeros = values
-        return DesignEvaluation(aims, margins, zeros, codes)
+        straight = BodyView(body, self._places(body))
+
+        def of_case(case: LoadCase) -> DesignEvaluation:
+            bent = self.view(z, case)
+            aims = tuple(t.objective.values(bent if t.objective.known.bent else straight) for t in self.terms)
+            views = [bent if limit.known.bent else straight for limit in self.limits]
+            margins = tuple(limit.inequalities(view) for limit, view in zip(self.limits, views, strict=True))
+            zeros = tuple(limit.equalities(view) for limit, view in zip(self.limits, views, strict=True))
+            return DesignEvaluation(aims, margins, zeros, bent.equilibrium.status)
+
+        def once(parts: Sequence[Objective | Limit], values: Sequence[Array]) -> tuple[Array, ...]:
+            return tuple(x if part.known.bent else x[:1] for part, x in zip(parts, values, strict=True))
+
+        aims, margins, zeros, codes = self._of_every_case(of_case)
+        aims = once([term.objective for term in self.terms], aims)
+        return DesignEvaluation(aims, once(self.limits, margins), once(self.limits, zeros), codes)
 
     def _of_every_case(self, function: Callable[[LoadCase], Answer]) -> Answer:
         """The function of every case, with a leading axis on its values; similar cases are computed together."""
@@ -159,16 +153,12 @@ class DesignProblem(eqx.Module):
                 below.append(height - jnp.ravel(aim) / term.reference)
             else:
                 total += term.weight / term.reference * self.mean(aim)
+            if term.most is not None:  # how far it is below its level
+                room = (term.most - jnp.ravel(aim if i in self.peaks else self.mean(aim))) / term.reference
+                below.append(jnp.where(jnp.isinf(term.most), 1.0, room))
         none = jnp.zeros((0,), total.dtype)
-        capped = [self.below_level(i, aim) for i, aim in enumerate(found.aims) if self.terms[i].most is not None]
-        inequality = jnp.concatenate([none, *map(jnp.ravel, found.margins), *capped, *below])
+        inequality = jnp.concatenate([none, *map(jnp.ravel, found.margins), *below])
         return ProgramValues(total, inequality, jnp.concatenate([none, *map(jnp.ravel, found.zeros)])), found
-
-    def below_level(self, i: int, aim: Array | np.ndarray) -> Part:
-        """How far an objective is below its level, scaled."""
-        term = self.terms[i]
-        assert term.most is not None
-        return (term.most - jnp.ravel(aim if i in self.peaks else self.mean(aim))) / term.reference
 
     def over_the_cases(self, i: int, aim: Array | np.ndarray) -> Float[Array, ""]:
         """One value of an objective over the cases: for a peak the largest, else the weighted mean."""

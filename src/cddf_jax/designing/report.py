@@ -9,15 +9,15 @@ import numpy as np
 from ..files.writing import markdown_table
 from ..units import Dimension, preferred, shown
 from .constrained import TOLERANCE
-from .free_numbers import is_angle
-from .results import Design, FreeNumber, LimitReport, number_in_words
-from .sensitivity import fixed_numbers
+from .free_numbers import dimension_of_number, number_in_words
+from .results import Design, FreeNumber, LimitReport, fixed_numbers
 
 if TYPE_CHECKING:
     from .pareto import ParetoFront
 
 LARGEST = 12  # sensitivities in the report
 NOT_IN_JSON = ("manipulator", "start", "cases", "outcome")
+KINK = "not unique: limits bind at one place"
 
 
 def design_in_words(found: Design) -> str:
@@ -41,23 +41,7 @@ def _head(found: Design) -> Iterator[str]:
         yield f"- with {numbers}: {_objective(found, objective)}"
     for remark in found.remarks:
         yield f"- {remark}"
-    yield from _at_bounds(found)
     yield ""
-
-
-def _at_bounds(found: Design) -> Iterator[str]:
-    """What the multipliers say about the bounds that are reached."""
-    reached = {name: free for name, free in found.free.items() if free.status != "inside"}
-    if not found.success or not reached:
-        return
-
-    def listed(some: dict[str, FreeNumber]) -> str:
-        return ", ".join(f"{name} {free.status}" for name, free in some.items())
-
-    if held := {name: free for name, free in reached.items() if free.multiplier > 0}:
-        yield f"- {listed(held)}: a wider bound would make the objective better"
-    if others := {name: free for name, free in reached.items() if name not in held}:
-        yield f"- {listed(others)}: a multiplier of 0, which does not show whether another value is better"
 
 
 def _objective(found: Design, value: float) -> str:
@@ -71,9 +55,14 @@ def _numbers(found: Design) -> Iterator[str]:
     rows = []
     for name, free in found.free.items():
         start, value, lower, upper = (number_in_words(name, x) for x in free[:4])
-        rows.append((name, start, value, f"{lower} to {upper}", free.status))
-    yield from markdown_table(("free number", "start", "design", "bounds", ""), rows, right=("start", "design"))
+        rows.append((name, start, value, f"{lower} to {upper}", free.status, _of_bound(found, name, free)))
+    head = ("free number", "start", "design", "bounds", "", "gain by a wider bound")
+    yield from markdown_table(head, rows, right=("start", "design"))
     yield ""
+
+
+def _of_bound(found: Design, name: str, free: FreeNumber) -> str:
+    return "" if free.status == "inside" else _worth(found, free.multiplier, dimension_of_number(name))
 
 
 def _limits(found: Design) -> Iterator[str]:
@@ -84,26 +73,26 @@ def _limits(found: Design) -> Iterator[str]:
             for value in (limit.limit, limit.reached)
         )
         text = f"{limit.name} {signs[limit.side]} {bound}{' (implied)' if limit.implied else ''}"
-        place = "all along" if limit.all_along else f"s = {shown(limit.arc_length, 'length')}"
-        where = ", ".join(part for part in (limit.case, "" if np.isnan(limit.arc_length) else place) if part)
-        rows.append((text, reached, where, _worth(found, limit)))
+        place = "" if np.isnan(limit.arc_length) else f"s = {shown(limit.arc_length, 'length')}"
+        where = ", ".join(part for part in (limit.case, place) if part)
+        rows.append((text, reached, where, _of_limit(found, limit)))
     yield from markdown_table(("limit", "reached", "where", "gain by relaxing it"), rows, right=("reached",))
     yield ""
 
 
-def _worth(found: Design, limit: LimitReport) -> str:
+def _of_limit(found: Design, limit: LimitReport) -> str:
     if not found.feasible:
         return "broken" if limit.margin < -TOLERANCE else ""
-    if not limit.active or np.isnan(limit.multiplier) or not _follows(found):
-        return ""
-    worth = _per(found, limit.multiplier, limit.dimension)
-    if abs(limit.tightening - limit.multiplier) <= 1e-4 * abs(limit.tightening):
-        return worth
-    return f"{worth}; tightening costs {_per(found, limit.tightening, limit.dimension)} (limits bind at one place)"
+    several = isinstance(limit.limit, list)  # values with one limit
+    return _worth(found, limit.multiplier, limit.dimension) if limit.active and not several else ""
 
 
-def _per(found: Design, slope: float, dimension: Dimension) -> str:
+def _worth(found: Design, slope: float, dimension: Dimension) -> str:
     """A derivative of the objective in preferred units."""
+    if not _follows(found):
+        return ""
+    if np.isnan(slope):
+        return KINK
     size, unit = preferred(found.objectives[0].dimension) if len(found.objectives) == 1 else (1.0, "")
     step, per = preferred(dimension)
     return f"{slope * size / step:.4g}{' ' + unit if unit else ''}{f' per {per}' if per else ''}"
@@ -113,11 +102,12 @@ def _sensitivity(found: Design) -> Iterator[str]:
     """The largest logarithmic derivatives of the objective, if neither it nor the number is zero."""
     if not _follows(found):
         return
-    problem = found.outcome.problem
-    values, size, rows, kinks = fixed_numbers(problem), abs(found.objective), {}, []
-    for number, slope in found.sensitivity_by_number.items():
-        name, change = number.in_words(problem), slope * values[number]
-        if is_angle(number.name):  # which has no size
+    size, rows, kinks = abs(found.objective), {}, []
+    numbers = zip(fixed_numbers(found.outcome.problem).values(), found.sensitivity.items(), strict=True)
+    for value, (name, slope) in numbers:
+        change = slope * value
+        name = name.removeprefix("case 1: ") if len(found.cases) == 1 else name
+        if dimension_of_number(name.split(": ")[-1]) == "angle":  # which has no size
             name, change = f"{name}, by 1 deg", slope * np.radians(1.0) / 0.01
         if np.isnan(slope):
             kinks.append(name)
@@ -126,7 +116,7 @@ def _sensitivity(found: Design) -> Iterator[str]:
     largest = sorted(rows.items(), key=lambda item: -abs(item[1]))[:LARGEST]
     lines = [(name, f"{percent:+.3g} %") for name, percent in largest]
     if kinks:
-        lines.append((", ".join(kinks), "a kink: limits bind at one place"))
+        lines.append((", ".join(kinks), KINK))
     several = "" if len(found.objectives) == 1 else " (of several: their weighted sum)"
     head = f"how the best objective follows{several}", "change by 1 % changes it by"
     yield from markdown_table(head, lines, right=head[1:])
@@ -148,7 +138,7 @@ def _foot(found: Design) -> Iterator[str]:
         )
     yield (
         f"Largest violation {found.violation:.1g} and first-order optimality {found.optimality:.1g} (scaled; "
-        f"{TOLERANCE:g} is asked for), {len(found.history)} iterations, {found.evaluations} evaluations."
+        f"{TOLERANCE:g} is asked for), {found.iterations} iterations in the last search."
     )
     if len(found.starts) > 1:
         ends = ", ".join(_objective(found, value) for value in found.starts)
@@ -161,8 +151,6 @@ def design_as_dict(found: Design) -> dict[str, object]:
     return own | {
         "sensitivity": found.sensitivity if _follows(found) else {},
         "choices": [{"numbers": values, "objective": objective} for values, objective in found.choices],
-        "iterations": len(found.history),
-        "history": [{"objective": objective, "violation": violation} for objective, violation in found.history],
     }
 
 
@@ -184,7 +172,6 @@ def front_as_dict(front: "ParetoFront") -> dict[str, object]:
         "objectives": list(front.names),
         "start": list(front.start),
         "values": front.values,
-        "exchange_rate": front.exchange_rate,
         "success": front.success,
         "remarks": list(front.remarks),
         "result": "successful" if front.success else "some points of the front were not found",

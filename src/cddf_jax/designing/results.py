@@ -1,25 +1,28 @@
 """The result of a design: the body, its objectives, the limits that bind, and the proof that it is the best nearby."""
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import Equilibrium
-from ..statics.named_numbers import unit_of_name
+from ..statics.named_numbers import Case, tip_of_winding
 from ..statics.status import Status, words_of
-from ..units import DIMENSION_OF, Dimension, shown
-from .body_quantities import loop_in_short_steps
+from ..units import Dimension
 from .constrained import ACTIVE, TOLERANCE, LocalMinimum
-from .load_cases import LoadCase
-from .problem import DesignEvaluation, DesignProblem, pieces_of
-from .search import GAIN, NOT_ZERO, Restart, SearchResult, indifferent
-from .sensitivity import FixedNumber, sensitivities
+from .free_numbers import PLACE
+from .load_cases import LoadCase, case_numbers
+from .problem import DesignEvaluation, DesignProblem, ProgramValues, pieces_of
+from .search import SearchResult, indifferent
 
+Fixed = tuple[int | None, str]  # a number that is not free: its load case, None for the body; and its name there
 Choices = tuple[tuple[dict[str, float], float], ...]  # numbers by name, and the objective that was reached with them
 
 
@@ -41,7 +44,7 @@ class FreeNumber(NamedTuple):
     lower: float
     upper: float
     status: str  # "inside", "at lower bound" or "at upper bound"
-    multiplier: float  # how much better the objective becomes per unit of a wider bound; NaN if infeasible
+    multiplier: float  # how much better the objective becomes per unit of a wider bound; NaN as in `LimitReport`
 
 
 class LimitReport(NamedTuple):
@@ -53,10 +56,8 @@ class LimitReport(NamedTuple):
     reached: float | list[float]  # the value there
     margin: float  # scaled; negative where the limit is broken
     active: bool
-    multiplier: float  # how much better the objective becomes per unit of a wider limit; NaN if infeasible
-    tightening: float  # how much worse per unit of a tighter limit; differs if several limits are active at one place
+    multiplier: float  # how much better the objective becomes per unit of a wider limit; NaN where that is not unique
     arc_length: float  # m, where it is tightest; NaN for a quantity that does not vary along the body
-    all_along: bool  # whether it is active along more than half of the body
     case: str  # the load case; "" for the body itself
     implied: bool  # whether it is a limit that every body must keep, and not the user's
     dimension: Dimension
@@ -64,7 +65,11 @@ class LimitReport(NamedTuple):
 
 @dataclass(frozen=True)
 class Design:
-    """The body that was found, SI units."""
+    """The body that was found, SI units.
+
+    A multiplier is NaN if the design is not feasible, and if several limits bind at one place: relaxing one of them
+    then gains another amount than tightening it costs.
+    """
 
     manipulator: Manipulator  # the body that was found
     start: Manipulator  # the body at the start
@@ -78,8 +83,7 @@ class Design:
     blocking: tuple[str, ...]  # limits that contradict each other, if no body keeps all of them
     optimality: float  # first-order: largest entry of the gradient of the Lagrangian, scaled
     violation: float  # largest, scaled
-    history: tuple[tuple[float, float], ...]  # objective and violation of every iterate
-    evaluations: int  # of objective and limits
+    iterations: int  # of the last search
     starts: tuple[float, ...]  # the objective reached from each start, inf if not feasible
     choices: Choices  # the objective reached with each combination of choices, inf if not feasible
     chosen: dict[str, float]  # of the choices, the best
@@ -94,22 +98,17 @@ class Design:
 
     @cached_property
     def sensitivity(self) -> dict[str, float]:
-        """Derivatives of the best objective by numbers that are not free, per SI unit, limits and load cases included.
+        """Derivatives of the best objective by numbers of body and load cases that are not free, per SI unit.
 
         They are the derivatives of the Lagrangian (envelope theorem), for several objectives those of the weighted sum.
         NaN if several limits are active at one place, so that the slopes to both sides differ. Empty if the design is
         not feasible. Computed when it is first read.
         """
-        return {number.label: slope for number, slope in self.sensitivity_by_number.items()}
-
-    @cached_property
-    def sensitivity_by_number(self) -> dict[FixedNumber, float]:
-        """The same by the numbers themselves."""
         if not self.feasible:
             return {}
         problem = self.outcome.problem
         unit = unit_of_objective(problem)
-        return {number: unit * slope for number, slope in sensitivities(problem, self.outcome.local).items()}
+        return {label_of(fixed): unit * slope for fixed, slope in sensitivities(problem, self.outcome.local).items()}
 
     @cached_property
     def equilibria(self) -> tuple[Equilibrium, ...]:
@@ -121,7 +120,7 @@ class Design:
         """The equilibrium of the start in each load case."""
         return self._solved(self.outcome.problem.free.scaled_start)
 
-    def _solved(self, z: np.ndarray | Array) -> tuple[Equilibrium, ...]:
+    def _solved(self, z: np.ndarray) -> tuple[Equilibrium, ...]:
         problem = self.outcome.problem
         return tuple(problem.view(z, case).equilibrium for case in problem.cases)
 
@@ -136,9 +135,8 @@ def design_of(
 ) -> Design:
     """The result of a search, with everything that is reported."""
     problem, local = outcome.problem, outcome.local
-    no_heights = np.zeros(len(problem.peaks))
-    at_start = problem.evaluation(np.append(problem.free.scaled_start, no_heights))
-    at_end, unit = outcome.evaluation, abs(unit_of_objective(problem))
+    at_start = problem.evaluation(np.append(problem.free.scaled_start, np.zeros(len(problem.peaks))))
+    at_end = outcome.evaluation
     objectives = achieved(problem, at_start, at_end)
     codes = zip(problem.cases, np.asarray(at_end.codes), strict=False)  # none without a solve
     same = indifferent(problem, outcome.z) if outcome.feasible else ()
@@ -151,44 +149,39 @@ def design_of(
         result=result,
         objective=objectives[0].end if len(objectives) == 1 else local.point.objective,
         objectives=objectives,
-        free=free_numbers(problem, local, unit),
-        limits=limit_reports(problem, local, unit),
+        free=free_numbers(problem, local),
+        limits=limit_reports(problem, local, at_end),
         blocking=outcome.blocking,
         optimality=local.optimality.residual,
         violation=outcome.violation,
-        history=tuple(outcome.history),
-        evaluations=outcome.evaluations,
+        iterations=local.iterations,
         starts=tuple(displayed(problem, value) for value in outcome.starts),
         choices=choices,
         chosen=chosen or {},
         cases=problem.cases,
         remarks=(
             *(f"{case.name or 'the load case'}: {words_of(code)}" for case, code in codes if code != Status.successful),
-            *(restart_in_words(problem, restart) for restart in outcome.restarts),
-            *loops_in_words(problem, outcome.z),
-            *(indifference_in_words(problem, outcome.z, i) for i in same),
+            *outcome.remarks,
+            *indifference_in_words(problem, same),
         ),
         outcome=outcome,
     )
 
 
-def loops_in_words(problem: DesignProblem, z: np.ndarray | Array) -> list[str]:
-    """The error estimates of loops that are followed in short steps, in words."""
-    if not any(
-        part.known.name == "hysteresis" for part in (*(term.objective for term in problem.terms), *problem.limits)
-    ):
-        return []
-    found = []
-    for case in problem.cases:
-        loop = loop_in_short_steps(problem.view(z, case))
-        if loop is None:
-            continue
-        own, error = case.name or "the load case", float(np.max(np.asarray(loop.error_estimate)))
-        words = f"{own}: the loop of the tip angle is followed in short steps, with an error estimate of "
-        inaccurate = np.any(loop.status == Status.inaccurate)
-        more = ", which is inaccurate; raise nodes" if inaccurate else ""
-        found.append(f"{words}{shown(error, 'angle')}{more}")
-    return found
+def design_result(local: LocalMinimum, violation: float, *, has_answer: bool) -> str:
+    """The result in words; `has_answer` says whether a free number changes an objective."""
+    if not local.point.usable:
+        return "no usable equilibrium was found"
+    if not violation <= TOLERANCE:
+        return "infeasible"
+    if not local.stationary:
+        return f"not stationary: the first-order optimality is {local.optimality.residual:.2g} and not {TOLERANCE:g}"
+    return "successful" if has_answer else "undetermined: no free number changes the objective"
+
+
+def indifference_in_words(problem: DesignProblem, same: tuple[int, ...]) -> list[str]:
+    """That no free number changes some objectives."""
+    return [f"{problem.terms[i].objective} is the same for all bodies that were tried within the bounds" for i in same]
 
 
 def unit_of_objective(problem: DesignProblem) -> float:
@@ -208,24 +201,6 @@ def displayed(problem: DesignProblem, value: float) -> float:
     return term.objective.displayed(value * float(term.reference) / float(term.weight))
 
 
-def free_numbers(problem: DesignProblem, local: LocalMinimum, unit: float) -> dict[str, FreeNumber]:
-    """The free numbers, with the multipliers of their bounds."""
-    free, found = problem.free, {}
-    numbers = np.asarray(free.numbers(problem.split(local.point.x)[0]))
-    columns = (free.start, numbers, free.lower, free.upper, free.size)
-    for i, row in enumerate(zip(*columns, strict=True)):
-        start, value, lower, upper, size = map(float, row)
-        at_lower, at_upper = abs(value - lower) <= ACTIVE * size, abs(value - upper) <= ACTIVE * size
-        status = "at lower bound" if at_lower else "at upper bound" if at_upper else "inside"
-        worth = 0.0
-        if at_lower or at_upper:
-            own = 1.0 * (np.arange(local.point.x.size) == i)
-            least, _ = local.optimality.range_of(lower=own, upper=own) if local.feasible else (np.nan, np.nan)
-            worth = 0.0 if least <= NOT_ZERO else least * unit / size  # the least that follows from the multipliers
-        found[free.label(i)] = FreeNumber(start, value, lower, upper, status, worth)
-    return found
-
-
 def achieved(problem: DesignProblem, at_start: DesignEvaluation, at_end: DesignEvaluation) -> tuple[Achieved, ...]:
     """Each objective at the start and at the end."""
     found = []
@@ -236,123 +211,120 @@ def achieved(problem: DesignProblem, at_start: DesignEvaluation, at_end: DesignE
     return tuple(found)
 
 
-def limit_reports(problem: DesignProblem, local: LocalMinimum, unit: float) -> tuple[LimitReport, ...]:
+# --- what binds ----------------------------------------------------------------------------------
+
+
+def free_numbers(problem: DesignProblem, local: LocalMinimum) -> dict[str, FreeNumber]:
+    """The free numbers, with the multipliers of their bounds."""
+    free, unit, found = problem.free, abs(unit_of_objective(problem)), {}
+    numbers = np.asarray(free.numbers(problem.split(local.point.x)[0]))
+    columns = (free.start, numbers, free.lower, free.upper, free.size)
+    for i, row in enumerate(zip(*columns, strict=True)):
+        start, value, lower, upper, size = map(float, row)
+        at_lower, at_upper = abs(value - lower) <= ACTIVE * size, abs(value - upper) <= ACTIVE * size
+        status = "at lower bound" if at_lower else "at upper bound" if at_upper else "inside"
+        own = unit / size * (np.arange(local.point.x.size) == i)
+        worth = local.optimality.price(lower=own, upper=own) if local.feasible else np.nan
+        found[free.label(i)] = FreeNumber(start, value, lower, upper, status, worth)
+    return found
+
+
+def limit_reports(problem: DesignProblem, local: LocalMinimum, found: DesignEvaluation) -> tuple[LimitReport, ...]:
     """Every side of every limit, where it is tightest."""
-    found = problem.evaluation(local.point.x)
+    reports, unit = [], abs(unit_of_objective(problem))
     rows = pieces_of(np.arange(local.point.inequality.size), found.margins)
     equations = pieces_of(np.arange(local.point.equality.size), found.zeros)
     length = float(np.asarray(problem.body(problem.split(local.point.x)[0]).length))
-    reports = []
+
+    def report(i: int, side: str, margins: np.ndarray, kind: str, places: np.ndarray) -> LimitReport:
+        """The report of a limit with its scaled margins, (cases, ...)."""
+        limit = problem.limits[i]
+        scale, bound = float(np.asarray(limit.scale)), np.asarray(getattr(limit, side))
+        at = np.unravel_index(np.argmin(-np.abs(margins) if side == "equal" else margins), margins.shape)
+        if side == "equal":
+            margin, reached = -abs(margins[at]), bound + (margins[at[0]] * scale).reshape(bound.shape)
+        else:
+            margin, reached = margins[at], bound + (1 if side == "least" else -1) * margins[at] * scale
+        weights = unit / scale * np.isin(np.arange(getattr(local.point, kind).size), places)
+        known = local.feasible and bound.ndim == 0
+        case = problem.cases[at[0]].name or (f"case {at[0] + 1}" if len(problem.cases) > 1 else "")
+        return LimitReport(
+            name=limit.name,
+            side=side,
+            limit=bound.tolist(),
+            reached=reached.tolist(),
+            margin=float(margin),
+            active=bool(side == "equal" or margin <= ACTIVE),
+            multiplier=local.optimality.price(**{kind: weights}) if known else np.nan,
+            arc_length=float(problem.stations[at[-1]]) * length if limit.known.along else np.nan,
+            case=case if limit.known.bent else "",
+            implied=problem.implied[i],
+            dimension=limit.known.dimension,
+        )
+
     for i, limit in enumerate(problem.limits):
-        price = unit / float(np.asarray(limit.scale))
-        for k, side in enumerate(side for side in ("least", "most") if getattr(limit, side) is not None):
-            prices = _prices(local, "inequality", rows[i][:, k], price)
-            reports.append(_of_range(problem, i, side, np.asarray(found.margins[i])[:, k], prices, length))
-        for case, miss in enumerate(np.asarray(found.zeros[i]) if limit.equal is not None else ()):
-            prices = _prices(local, "equality", equations[i][case], price) if miss.size == 1 else (np.nan, np.nan)
-            wanted = np.asarray(limit.equal)
-            values = np.squeeze(wanted).tolist(), np.squeeze(wanted + miss * np.asarray(limit.scale)).tolist()
-            reports.append(_report(problem, i, "equal", case, values, -float(np.max(np.abs(miss))), prices))
+        sides = [side for side in ("least", "most") if getattr(limit, side) is not None]
+        for k, side in enumerate(sides):
+            reports.append(report(i, side, np.asarray(found.margins[i])[:, k], "inequality", rows[i][:, k]))
+        if limit.equal is not None:
+            reports.append(report(i, "equal", np.asarray(found.zeros[i]), "equality", equations[i]))
     return tuple(reports)
 
 
-def _of_range(
-    problem: DesignProblem, i: int, side: str, margin: np.ndarray, prices: tuple[float, float], length: float
-) -> LimitReport:
-    """One side of a limit with its scaled margins, (cases, ...), where it is tightest."""
-    limit = problem.limits[i]
-    at = np.unravel_index(np.argmin(margin), margin.shape)
-    bound, room = float(getattr(limit, side)), float(margin[at])
-    reached = bound + (room if side == "least" else -room) * float(np.asarray(limit.scale))
-    report = _report(problem, i, side, int(at[0]), (bound, reached), room, prices)
-    if not limit.known.along:
-        return report
-    along = np.min(margin.reshape(-1, margin.shape[-1]), axis=0)  # the tightest of cases and tendons at every place
-    place = float(problem.stations[at[-1]]) * length
-    return report._replace(arc_length=place, all_along=bool(np.mean(along <= ACTIVE) > 0.5))
+# --- numbers that are not free --------------------------------------------------------------------
 
 
-def _report(
-    problem: DesignProblem,
-    i: int,
-    side: str,
-    case: int,
-    values: tuple[float | list[float], float | list[float]],
-    margin: float,
-    prices: tuple[float, float],
-) -> LimitReport:
-    """The report of a limit without a place: its value and the one that is reached, the scaled margin, the prices."""
-    limit, several = problem.limits[i], len(problem.cases) > 1
-    return LimitReport(
-        name=limit.name,
-        side=side,
-        limit=values[0],
-        reached=values[1],
-        margin=margin,
-        active=side == "equal" or margin <= ACTIVE,
-        multiplier=prices[0],
-        tightening=prices[1],
-        arc_length=np.nan,
-        all_along=False,
-        case=(problem.cases[case].name or (f"case {case + 1}" if several else "")) if limit.known.bent else "",
-        implied=problem.implied[i],
-        dimension=limit.known.dimension,
-    )
+def label_of(fixed: Fixed) -> str:
+    """As in `Design.sensitivity`: "youngs_modulus", "case 1: base_tension"."""
+    case, name = fixed
+    return name if case is None else f"case {case + 1}: {name}"
 
 
-def _prices(
-    local: LocalMinimum, kind: Literal["inequality", "equality"], places: np.ndarray, price: float
-) -> tuple[float, float]:
-    """How much the objective gains if some limits are relaxed together, and loses if they are tightened."""
-    if not local.feasible:
-        return np.nan, np.nan
-    values = getattr(local.point, kind)
-    if kind == "inequality" and not np.any(values[np.ravel(places)] <= ACTIVE):
-        return 0.0, 0.0
-    weights = np.zeros(values.size)
-    weights[np.ravel(places)] = price
-    return local.optimality.range_of(**{kind: weights})
+def fixed_numbers(problem: DesignProblem) -> dict[Fixed, float]:
+    """All numbers of body and load cases that are not free."""
+    free = {name for names in problem.free.names for name in names}
+    free |= {tip_of_winding(name) for name in free}
+    body = problem.manipulator
+    set_by_cases = {name for case in problem.cases for name in case.numbers}
+    of_body = _numbers(case_numbers(body))
+    found: dict[Fixed, float] = {(None, name): x for name, x in of_body.items() if name not in free | set_by_cases}
+    for i, case in enumerate(problem.cases):
+        if len(case.numbers) == 0 or len(problem.cases) == 1:
+            acting = _numbers(replace(case, direction=None).of(body))
+            found |= {(i, name): x for name, x in acting.items() if name not in {*of_body, *free}}
+    return found
 
 
-def design_result(local: LocalMinimum, violation: float, *, has_answer: bool) -> str:
-    """The result in words; `has_answer` says whether a free number changes an objective."""
-    if not local.point.usable:
-        return "no usable equilibrium was found"
-    if not violation <= TOLERANCE:
-        return "infeasible"
-    if not local.optimality.residual <= TOLERANCE:
-        return f"not stationary: the first-order optimality is {local.optimality.residual:.2g} and not {TOLERANCE:g}"
-    return "successful" if has_answer else "undetermined: no free number changes the objective"
+def _numbers(case: Case) -> dict[str, float]:
+    """The numbers of a case by name, without arc lengths."""
+    return {name: float(np.asarray(number)) for name, number in case.numbers.items() if not PLACE.search(name)}
 
 
-def indifference_in_words(problem: DesignProblem, z: np.ndarray, i: int) -> str:
-    """That no free number changes an objective, and why, if it is a loss that follows from the angle alone."""
-    words = f"{problem.terms[i].objective} is the same for all bodies that were tried within the bounds"
-    why = "1 - exp(-friction_coefficient tip_angle), as of every tendon at a constant offset that bends to one side"
-    return f"{words}: {why}" if _is_of_angle(problem, z, i) else words
+def with_fixed(problem: DesignProblem, numbers: Mapping[Fixed, Array]) -> DesignProblem:
+    """The problem with other fixed numbers; another length stretches everything along the body."""
+
+    def of(place: int | None) -> dict[str, Array]:
+        return {name: x for (case, name), x in numbers.items() if case == place}
+
+    body = case_numbers(problem.manipulator).with_numbers(of(None)).manipulator
+    cases = [case.with_numbers(body, of(i))[1] for i, case in enumerate(problem.cases)]
+    return replace(problem, manipulator=body, cases=tuple(cases))
 
 
-def _is_of_angle(problem: DesignProblem, z: np.ndarray, i: int) -> bool:
-    """Whether an objective is the loss of a tendon at a constant offset that bends to one side, in every case."""
-    if problem.terms[i].objective.known.name != "tension_loss":
-        return False
-    views = [problem.view(z, case) for case in problem.cases]
-    losses = [-np.expm1(-view.body.friction_coefficient * abs(view.equilibrium.tip_angle)) for view in views]
-    return all(np.allclose(view.equilibrium.tension_loss, own, GAIN) for view, own in zip(views, losses, strict=True))
+@eqx.filter_jit
+def _slopes(problem: DesignProblem, x: Array, fixed: tuple[Fixed, ...], numbers: Array) -> ProgramValues:
+    """The derivatives of all values by fixed numbers, on the last axis."""
+    return jax.jacfwd(lambda numbers: with_fixed(problem, dict(zip(fixed, numbers, strict=True))).values(x)[0])(numbers)
 
 
-def restart_in_words(problem: DesignProblem, restart: Restart) -> str:
-    """Why the search began again, and whether that found a better body."""
-    labels = [problem.free.label(int(i)) for i in restart.numbers]
+def sensitivities(problem: DesignProblem, local: LocalMinimum) -> dict[Fixed, float]:
+    """Derivatives of the optimiser's objective at the optimum, by the envelope theorem: those of the Lagrangian.
 
-    def listed(numbers: np.ndarray) -> str:
-        named = zip(labels, numbers, strict=True)
-        return ", ".join(f"{label} = {number_in_words(label, float(number))}" for label, number in named)
-
-    result = "found a better body" if restart.better else "found no better body"
-    return f"{listed(restart.old)}: the objective has no slope there; a search from {listed(restart.new)} {result}"
-
-
-def number_in_words(name: str, value: float) -> str:
-    """A number of a body or a case with the unit that follows from its name."""
-    return shown(value, DIMENSION_OF[unit_of_name(name)])
+    NaN if several sets of multipliers meet the conditions: the objective has a kink there.
+    """
+    numbers = fixed_numbers(problem)
+    values = jnp.asarray(list(numbers.values()))
+    slopes = jax.tree.map(np.asarray, _slopes(problem, jnp.asarray(local.point.x), tuple(numbers), values))
+    columns = zip(slopes.objective, slopes.inequality.T, slopes.equality.T, strict=True)
+    answers = [float(own) - local.optimality.price(*limits) for own, *limits in columns]
+    return dict(zip(numbers, answers, strict=True))

@@ -3,9 +3,9 @@
 import re
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import numpy as np
@@ -17,14 +17,12 @@ from ..files.manipulator_file import check_keys, read_robot_file, read_toml
 from ..robot.loads import gravity_in_words
 from ..robot.manipulator import Manipulator
 from ..robot.profiles import Linear, Profile, Spline
-from ..statics.named_numbers import unit_of_name
-from ..units import DIMENSION_OF, Dimension, quantity
+from ..units import Dimension, quantity
 from .body_quantities import BODY_QUANTITIES, quantity_named
 from .design import DesignOptions, design
-from .free_numbers import numbers_under
-from .limits import Limit
+from .free_numbers import dimension_of_number, numbers_under
 from .load_cases import LoadCase, case_numbers, uncertain_cases
-from .objectives import Even, Least, Most, Near, Objective
+from .objectives import Even, Least, Limit, Most, Near, Objective
 from .pareto import ParetoFront, pareto_front
 from .results import Design
 
@@ -59,34 +57,27 @@ def template() -> str:
     return f"{TEMPLATE}\n{textwrap.fill(names, 110, initial_indent='# ', subsequent_indent='# ')}\n"
 
 
-@dataclass(frozen=True)
-class DesignTask:
-    """The arguments of `design`, as a file gives them."""
+class DesignTask(NamedTuple):
+    """What a file asks for."""
 
     path: Path
-    manipulator: Manipulator
-    objective: list[tuple[float, Objective]]
-    free: tuple[str, ...]
-    bounds: dict[str, tuple[float, float]]
-    constraints: list[Limit]
-    cases: tuple[LoadCase, ...]
-    choices: dict[str, list[float]]
-    options: DesignOptions
+    arguments: dict[str, Any]  # of `design`
     read_as: tuple[str, ...]  # how robot and data were read
     gravity: tuple[float, ...] | None  # of the robot's file, m/s^2
 
     def design(self) -> Design:
         """As `design`; errors name the file."""
         with within(self.path):
-            task = self.manipulator, self.objective, self.free, self.bounds, self.constraints
-            return design(*task, cases=self.cases, choices=self.choices, options=self.options)
+            return design(**self.arguments)
 
     def pareto_front(self, num: int) -> ParetoFront:
         """As `pareto_front`, of the two objectives of the task; errors name the file."""
+        aims = self.arguments["objective"]
+        given = {name: value for name, value in self.arguments.items() if name not in ("objective", "choices")}
         with within(self.path):
-            aims = [aim for _, aim in self.objective]
-            task = self.manipulator, aims, self.free, self.bounds, self.constraints
-            return pareto_front(*task, cases=self.cases, num=num, options=self.options)
+            if self.arguments["choices"] or given["options"].starts > 1 or any(weight != 1 for weight, _ in aims):
+                raise InputError("choices, starts and weights have no place in a trade-off; take them out of the task")
+            return pareto_front(objectives=[aim for _, aim in aims], num=num, **given)
 
 
 def read_task(path: Path) -> DesignTask:
@@ -112,19 +103,17 @@ def _task(table: Table, path: Path) -> DesignTask:
         cases, notes = _uncertain(cases, body, _entries(table, "uncertain"), path.parent, gravity)
         read_as += notes
     given = {"offsets_outside_wall": outside} | {key: table[key] for key in _OPTIONS if key in table}
-    return DesignTask(
-        path=path,
-        manipulator=body,
-        objective=_each(table, "objective", _objective),
-        free=tuple(name for name in free if name not in choices),
-        bounds=bounds,
-        constraints=_each(table, "limit", _limit) if "limit" in table else [],
-        cases=cases,
-        choices=choices,
-        options=DesignOptions(**given),  # pyright: ignore[reportArgumentType]  # it checks each itself
-        read_as=read_as,
-        gravity=gravity,
-    )
+    arguments = {
+        "manipulator": body,
+        "objective": _each(table, "objective", _objective),
+        "free": tuple(name for name in free if name not in choices),
+        "bounds": bounds,
+        "constraints": _each(table, "limit", _limit) if "limit" in table else [],
+        "cases": cases,
+        "choices": choices,
+        "options": DesignOptions(**given),  # pyright: ignore[reportArgumentType]  # it checks each itself
+    }
+    return DesignTask(path, arguments, read_as, gravity)
 
 
 # --- free numbers --------------------------------------------------------------------------------
@@ -141,7 +130,7 @@ def _free(
                 raise InputError(f'write {{ bounds = ["8 mm", "25 mm"] }}, got {entry!r}')
             _check("free", entry)
             numbers_under(used.of(body), name)
-            dimension = DIMENSION_OF[unit_of_name(name)]
+            dimension = dimension_of_number(name)
             if "knots" in entry or "taper" in entry:
                 body = _formed(body, name, entry)
             if "bounds" in entry:
@@ -188,7 +177,7 @@ def _case(table: Table, body: Manipulator, gravity: tuple[float, ...] | None) ->
         read_actuation([str(text) for text in texts], body, called=str),
         read_loads(**loads, mounted=gravity, called=str),
         read_directions(direction if isinstance(direction, list | None) else [direction], body, called=str),
-        {name: quantity(value, DIMENSION_OF[unit_of_name(name)], name) for name, value in numbers.items()},
+        {name: quantity(value, dimension_of_number(name), name) for name, value in numbers.items()},
         quantity(table.get("weight", 1.0), "dimensionless", "weight"),
         str(table.get("name", "")),
         _pair(table["loop"], "force", "loop") if "loop" in table else None,

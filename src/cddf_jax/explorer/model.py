@@ -12,28 +12,33 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
 from ..errors import InputError, within
-from ..figures.geometry import stations
+from ..figures.geometry import lines_along, stations
 from ..files.manipulator_file import manipulator_text
+from ..identification.bench import Bench, experiment_of
+from ..identification.course import course_of, has_history
 from ..identification.parameters import BenchSetting
 from ..measurements.table import Measurements
 from ..mechanics.directions import as_directions
-from ..mechanics.fields import AnyFields
+from ..mechanics.fields import AnyFields, SpatialFields
 from ..robot.cross_section import Kinematics
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..robot.reshape import tapered
 from ..robot.validation import check_weight
-from ..statics.equilibrium import Equilibrium
+from ..statics.equilibrium import Equilibrium, ended_as
+from ..statics.equilibrium_text import result_in_words, wall_remarks
 from ..statics.named_numbers import Case, of_tendon
 from ..statics.solve import solve
+from ..statics.status import Status
 from ..statics.targets import TipAngle
-from .answers import Curve, Picture, Taper, where_good
 from .controls import FITTED, RADII, Control, controls_of, in_si, load_components, tensions_and_loads
 
 if TYPE_CHECKING:
     from ..identification.fit import Fit
 
 NUM_PULLS = 17  # on the curve over the base tension
+NODES = 16  # of the solves in the rows of tables, as `fit` has them
+GOOD = (Status.successful, Status.direction_contradicted)
 
 
 class Settings(NamedTuple):
@@ -42,6 +47,54 @@ class Settings(NamedTuple):
     numbers: Mapping[str, float]
     direction: tuple[int | None, ...]  # None where it is found from the travel of the tendon
     kinematics: Kinematics
+
+
+class Picture(NamedTuple):
+    """An equilibrium and its fields along a grid of arc lengths; NumPy, SI."""
+
+    case: Case
+    equilibrium: Equilibrium
+    along: AnyFields
+    peak_strain: np.ndarray  # of the wall, a fraction
+
+    @property
+    def good(self) -> bool:
+        """Whether there is something to show; other solves have no numbers, or doubtful ones."""
+        return ended_as(self.equilibrium, *GOOD)
+
+    @property
+    def message(self) -> str:
+        """The message of the result, as `solve` gives it, and remarks; empty if it is successful."""
+        return " ".join([text for text in (result_in_words(self.equilibrium), *wall_remarks(self.equilibrium)) if text])
+
+    @property
+    def peak_curvature(self) -> float:
+        """The largest |kappa|, 1/m; in space of bending alone, without twist."""
+        return float(np.max(lines_along(self.case.manipulator, self.along, "bending")))
+
+    @property
+    def peak_twist(self) -> float | None:
+        """The largest size of the twist, 1/m; None in the plane."""
+        return float(np.max(np.abs(self.along.twist))) if isinstance(self.along, SpatialFields) else None
+
+
+class Curve(NamedTuple):
+    """The answer over the base tension of one tendon, with everything else as set; NaN where no solve is good. SI."""
+
+    tendon: int  # from 0
+    base_tension: np.ndarray
+    tip_tension: np.ndarray
+    tip_angle: np.ndarray
+
+
+class Taper(NamedTuple):
+    """The results for one taper of the body, SI; NaN where a solve is not good."""
+
+    tension_loss: float  # of tendon 1 at the tensions that are set
+    tip_angle: float
+    peak_strain: float
+    base_tension: float  # of tendon 1 at which the tip has the angle that is asked for
+    strain_there: float
 
 
 @dataclass(frozen=True)
@@ -65,11 +118,8 @@ class Exploration:
                 raise InputError(
                     "it has three components, but the body is in the plane; give two, or angles of tendons"
                 )
-        if self.tables:
-            from ..identification.bench import experiment_of
-
-            for table in self.tables:
-                experiment_of(table, self.manipulator, setting=self.setting)
+        for table in self.tables:
+            experiment_of(table, self.manipulator, setting=self.setting)
 
     @cached_property
     def setting(self) -> BenchSetting:
@@ -147,20 +197,24 @@ class Exploration:
         They have several tendons, forces, tendons that slide out, or loops in a known order. A reading is NaN without a
         good solve.
         """
-        if not self.tables:
-            return []
-        from .measured import readings_in_rows
-
-        return readings_in_rows([t for t in self.tables if t not in self.not_followed], body, self.setting)
+        found = []
+        for table in (table for table in self.tables if table not in self.not_followed):
+            course = course_of(table)[0] if has_history(table, None) and self._is_exact(table) else None
+            rows = experiment_of(table, body, course=course, setting=self.setting)
+            if isinstance(rows, Bench) and not rows.on_one_curve:
+                found.append((table, jax.tree.map(np.asarray, _in_rows(rows, body))))
+        return found
 
     @property
     def not_followed(self) -> list[Measurements]:
         """Tables with a history that is not followed: of a body in space with several tendons or loads."""
-        if not self.tables or not self.manipulator.in_space:
-            return []
-        from .measured import can_be_followed
+        known = [table for table in self.tables if not has_history(table, None) or self._is_exact(table)]
+        return [table for table in self.tables if self.manipulator.in_space and table not in known]
 
-        return [table for table in self.tables if not can_be_followed(table, self.manipulator, self.setting)]
+    def _is_exact(self, table: Measurements) -> bool:
+        """Whether a history of these rows has an exact answer: one tendon without loads."""
+        loaded = any(column.startswith("tip_force") and np.any(table[column]) for column in table.columns)
+        return self.manipulator.num_tendons == 1 and not loaded and self.setting.loads is None
 
     @property
     def notes(self) -> list[str]:
@@ -237,3 +291,16 @@ def _taper(case: Case, angle: Float[ArrayLike, ""]) -> tuple:
     numbers = given.tension_loss[0], given.tip_angle, _peak_strain(given)
     there = reached.base_tension[0], _peak_strain(reached)
     return *where_good(given.status, numbers), *where_good(reached.status, there)
+
+
+@eqx.filter_jit
+def _in_rows(rows: Bench, body: Manipulator) -> dict[str, Array]:
+    shown = rows.shown(body, {}, NODES)
+    readings = rows.readings(shown, rows.columns, {})
+    return dict(zip(readings, where_good(shown.status, tuple(readings.values())), strict=True))
+
+
+def where_good(status: Int[Array, "*lanes"], numbers: tuple) -> tuple:
+    """The numbers of a solve; NaN without a good status."""
+    good = (status == GOOD[0]) | (status == GOOD[1])
+    return tuple(jnp.where(good, number, jnp.nan) for number in numbers)

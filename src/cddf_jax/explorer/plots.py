@@ -25,8 +25,8 @@ from ..mechanics.fields import in_the_plane
 from ..quantities import QUANTITIES
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
-from .answers import Curve, Picture
-from .loop import Loop
+from .model import Curve, Picture
+from .past import Loop
 
 Look: TypeAlias = dict[str, Any]  # what Bokeh takes for properties of a glyph: colours, widths, names of columns
 Plot: TypeAlias = Any  # a Bokeh figure, whose attributes type checkers do not know
@@ -155,7 +155,7 @@ class BodyPlot:
     def show_loop(self, loop: Loop | None) -> None:
         """The axis of the body with its past; None for nothing."""
         if loop is not None:
-            self.sources["past"].data = _xy(1e3 * np.asarray(loop.state.position))
+            self.sources["past"].data = _xy(1e3 * loop.position)
         show_named(self.figure, "past", loop is not None)
 
     def _show_body(self, body: Body, tendons: list[np.ndarray]) -> None:
@@ -233,8 +233,8 @@ class AlongPlots:
 class TensionPlots:
     """Tip tension and tip angle over base tension: model, present state, data, and the model in their rows.
 
-    Tip tensions are drawn over the base tension of the same tendon; the angle, the model and the loop belong to the
-    tendon whose tension moved last.
+    Tip tensions are drawn over the base tension of the same tendon; the angle and the model belong to the tendon whose
+    tension moved last.
     """
 
     def __init__(self, num_tendons: int):
@@ -278,7 +278,6 @@ class TensionPlots:
             return
         self.tendon, self.curve.data = tendon, NOTHING_PULLED
         self._name_tendon()
-        self.show_loop(None)
         for kind, tables in self.shown.items():
             self.show_points(kind, tables)
 
@@ -307,14 +306,11 @@ class TensionPlots:
             show_named(self.figures[name], kind, bool(parts))
 
     def show_loop(self, loop: Loop | None) -> None:
-        """The loop of the tension that moved last, and the present state with its past; None for nothing."""
+        """The loop of the tension, and the present state with its past; None for nothing."""
         if loop is not None:
-            base, tip, angle = loop.over_tension
-            self.loops["tension"].data = {"base": base, "value": tip}
-            self.loops["angle"].data = {"base": base, "value": np.degrees(angle)}
-            now = loop.rows.base_tension[-1], loop.rows.tip_tension[-1]
-            self.points["tension"]["past"].data = _points([(*now, BLACK)])
-            self.points["angle"]["past"].data = _points([(base[-1:], np.degrees(angle[-1:]), BLACK)])
+            for name, values in (("tension", loop.tip_tension), ("angle", np.degrees(loop.tip_angle))):
+                self.loops[name].data = {"base": loop.base_tension, "value": values}
+                self.points[name]["past"].data = _points([(loop.base_tension[-1:], values[-1:], BLACK)])
         for fig in self.figures.values():
             for kind in ("loop", "past"):
                 show_named(fig, kind, loop is not None)

@@ -12,7 +12,6 @@ import panel as pn
 from panel.io.server import get_server
 
 from ..errors import InputError
-from ..files.cross_sections import SectionColumn
 from ..files.manipulator_file import RobotFile, read_robot_file
 from ..measurements.table import Measurements
 from ..measurements.trials import read_tables
@@ -47,7 +46,6 @@ class PageContent:
 
     exploration: Exploration
     source: str  # of the manipulator, in words
-    columns: tuple[SectionColumn, ...]  # of its table of cross-sections; none where it has none
     threads: Threads
 
 
@@ -83,8 +81,6 @@ class Page:
             self.view.close()
         self.view = ExplorerView(self.content.exploration, self.say, self.content.threads)
         parts = self.view.parts
-        if self.content.columns:
-            parts["rest"].append(sections_as_read(self.content.columns))
         for name, part in parts.items():
             part.css_classes = [*part.css_classes, name]  # it may have a class already
         self.place[:] = list(parts.values())
@@ -108,28 +104,12 @@ class Page:
         name = str(self.robot_file.filename)
         read = _read(lambda paths: read_robot_file(paths[0]), {name: self.robot_file.value})
         exploration = replace(self.content.exploration, manipulator=read.manipulator, gravity=read.gravity)
-        return replace(self.content, exploration=exploration, source=name, columns=())
+        return replace(self.content, exploration=exploration, source=name)
 
     def _read_data(self) -> PageContent:
         files = zip(map(str, self.data_files.filename), self.data_files.value, strict=True)
         exploration = replace(self.content.exploration, tables=_read(read_tables, dict(files)))
         return replace(self.content, exploration=exploration)
-
-
-def sections_as_read(columns: Sequence[SectionColumn]) -> pn.Column:
-    """The table of cross-sections and the profiles that were read, as a picture and in words."""
-    from ..figures.along import sections_figure
-    from ..figures.style import render
-
-    picture = pn.pane.PNG(
-        render(sections_figure(columns), "sections")["sections.png"],
-        alt_text="Cross-sections: the points of the table and the profiles that were read",
-        sizing_mode="scale_width",
-    )
-    lines = "".join(f"<p>{_escaped(str(column))}</p>" for column in columns)
-    return pn.Column(
-        pn.pane.HTML("<h2>Cross-sections as read</h2>" + lines, stylesheets=STYLES), picture, max_width=800
-    )
 
 
 def _escaped(text: str) -> str:
@@ -162,7 +142,7 @@ def serve(
     """Serve the page on this machine alone until Ctrl-C.
 
     Args:
-        robot: the body, its gravity and its table of cross-sections.
+        robot: the body and its gravity.
         tables: measurements on it.
         source: the origin of the robot, in words for the page.
         port: 0 for a free one.
@@ -176,7 +156,7 @@ def serve(
     pn.extension(respect_explicit_sizing=True)
     with Threads() as threads:
         with stage("preparing the page"):
-            content = PageContent(exploration, source, robot.columns, threads)
+            content = PageContent(exploration, source, threads)
         try:
             server = get_server(lambda: Page(content).layout, port=port, address=ADDRESS, title=TITLE)
         except OSError as error:

@@ -13,8 +13,8 @@ from ..figures.looks import BLACK, GREY, PALE, PURPLE
 from ..measurements.markers import marker_column
 from ..robot.manipulator import Manipulator
 from ..units import round_number
-from .answers import Picture
-from .loop import Loop
+from .model import Picture
+from .past import Loop
 from .plots import MARKS, Columns, Look, Plot, TableColumns, bare_figure, look_of_legend, show_named, tendon_look
 
 DRAW, TURN = (Path(__file__).with_name(f"{name}.js").read_text(encoding="utf-8") for name in ("space", "turn"))
@@ -160,7 +160,7 @@ class SpacePlot:
 
     def show_loop(self, loop: Loop | None) -> None:
         """The axis of the body with its past; None for nothing."""
-        past = [] if loop is None else [Row("past", 1e3 * np.asarray(loop.state.position), PURPLE, (6, 3), 2.0)]
+        past = [] if loop is None else [Row("past", 1e3 * loop.position, PURPLE, (6, 3), 2.0)]
         if past or self.past:
             self.past = past
             self._send()

@@ -16,16 +16,13 @@ from ..errors import InputError, SolveError
 from ..quantities import QUANTITIES
 from ..robot.cross_section import Kinematics
 from ..robot.manipulator import KINEMATICS
-from .answers import Curve, Picture
-from .controls import from_si, rounded
-from .loop import Loop
-from .model import Exploration, Settings
+from .controls import from_si, rounded, tensions_and_loads
+from .model import Curve, Exploration, Picture, Settings
 from .parts import column, grid, plot, slider, title, words
-from .past_moves import PastMoves
-from .past_part import PastPart
+from .past import Loop, Turns, after_move, loop_of, why_no_loop
 from .plots import AlongPlots, BodyPlot, TableColumns, TensionPlots
 from .space import SpacePlot
-from .words import lines_html, numbers_html, tapers_html
+from .words import lines_html, loop_html, numbers_html, paragraph, tapers_html
 
 if TYPE_CHECKING:
     from ..identification.fit import Fit
@@ -43,8 +40,10 @@ class Threads(ExitStack):
     def __init__(self):
         super().__init__()
         self.pictures, self.pasts, self.comparisons, self.fits = each = [ThreadPoolExecutor(1) for _ in range(4)]
+        self.ended = False
         for threads in each:
             self.callback(threads.shutdown, cancel_futures=True)
+        self.callback(setattr, self, "ended", True)
 
 
 class ExplorerView:
@@ -60,7 +59,8 @@ class ExplorerView:
         self.settings: Settings = exploration.start
         self.picture: Picture | None = None
         self.fitted: Fit | None = None
-        self.memory = PastPart(exploration, self.change)
+        self.turns: Turns = ()  # of the tension, as far as they are remembered
+        self.tendon = 0  # whose tension moved last
         body, s = exploration.manipulator, exploration.arc_length
         self.several = body.num_tendons > 1
         self.body = SpacePlot(body) if body.in_space else BodyPlot(body, s)
@@ -76,7 +76,7 @@ class ExplorerView:
             "body": [plot(self.body.figure), *turned],
             "numbers": [self.numbers],
             "along": [grid(*map(plot, (*self.body.views, *self.along.figures.values())), least=230)],
-            "past": self.memory.parts,
+            "past": self._past_parts(),
             "what_if": [self.what_if],
         }
         self.drawn = {name: column(*part) for name, part in parts.items()}
@@ -115,6 +115,12 @@ class ExplorerView:
             name="Set the sliders to the fit", visible=False, on_click=lambda _: self._take_over()
         )
         self.fit_button.disabled = not self.exploration.tables
+
+    def _past_parts(self) -> list[pn.viewable.Viewable]:
+        """The text about the past, and the button that forgets it where there may be something to forget."""
+        self.past_text = words("past")
+        button = pn.widgets.Button(name="Forget the past", on_click=lambda _: self.forget())
+        return [self.past_text, *([] if self.several else [button])]
 
     def _downloads(self) -> list[pn.widgets.FileDownload]:
         labels = {
@@ -176,16 +182,24 @@ class ExplorerView:
     def _start_again(self) -> None:
         """Go back to the numbers of the file, without a past."""
         self.move_to(self.exploration.start)
-        self.memory.forget()
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin the past again with a pull from rest to what is set."""
+        self.turns = ()
+        self.change()
 
     def change(self) -> None:
         """Solve for the present positions of the sliders."""
         numbers = {name: float(each.value) for name, each in self.sliders.items()}
         directions = tuple(widget.value or None for widget in self.directions)
+        tensions = [control.name for control in tensions_and_loads(self.exploration.controls)[0]]
+        moved = [i for i, name in enumerate(tensions) if numbers[name] != self.settings.numbers[name]]
+        self.tendon = moved[0] if moved else self.tendon
         self.settings = Settings(numbers, directions, self.kinematics.value)
         self._mark("computing", True, self.drawn)
-        past = self.memory.after_move(self.settings)
-        wanted = self.settings, float(self.angle.value or 0.0), past
+        self.turns = after_move(self.turns, self.exploration, self.settings)
+        wanted = self.settings, float(self.angle.value or 0.0), self.turns, self.tendon
         self.threads.pictures.submit(self._guarded, self._draw, *wanted)
 
     def _guarded(self, function: Callable[..., None], settings: Settings, *arguments: object) -> None:
@@ -197,20 +211,22 @@ class ExplorerView:
         except (InputError, SolveError) as error:
             self._on_page(self._refuse, str(error))
         except Exception as error:
+            if self.threads.ended:  # they take no more work
+                return
             logging.getLogger(__name__).exception("explorer")
             self._on_page(self._refuse, f"{type(error).__name__}: {error}")
 
-    def _draw(self, settings: Settings, angle: float, past: PastMoves) -> None:
+    def _draw(self, settings: Settings, angle: float, turns: Turns, tendon: int) -> None:
         """Make the picture, and then start on another thread what takes longer."""
         case = self.exploration.case(settings)
         kind = jax.tree.structure(case), self.exploration.arc_length.size
         if kind not in COMPILED:
             self._on_page(self.say, COMPILING, "busy")
         picture = self.exploration.picture(case)
-        self._on_page(self._show, settings, picture, past.tendon)
+        self._on_page(self._show, settings, picture, tendon)
         if picture.good:
-            self.threads.pasts.submit(self._guarded, self._remember, settings, picture, past)
-            self.threads.comparisons.submit(self._guarded, self._compare, settings, angle, picture, past.tendon)
+            self.threads.pasts.submit(self._guarded, self._remember, settings, picture, turns)
+            self.threads.comparisons.submit(self._guarded, self._compare, settings, angle, picture, tendon)
         COMPILED.add(kind)
 
     def _compare(self, settings: Settings, angle: float, picture: Picture, tendon: int) -> None:
@@ -234,16 +250,18 @@ class ExplorerView:
         self._show_points("rows", rows)
         self._done(settings, ["tension"])
 
-    def _remember(self, settings: Settings, picture: Picture, past: PastMoves) -> None:
-        """Show the loop of the tension that is moved, or why there is none."""
-        say = partial(self._on_page, setattr, self.memory.text, "object")
-        if (found := self.memory.found(picture.case.manipulator, past, say)) is not None:
-            self._on_page(self._show_loop, settings, *found)
+    def _remember(self, settings: Settings, picture: Picture, turns: Turns) -> None:
+        """Show the loop of the tension, or why there is none."""
+        body, loop = picture.case.manipulator, None
+        if not (text := why_no_loop(body, turns)):
+            loop = loop_of(body, turns, self.exploration.arc_length)
+        self._on_page(self._show_loop, settings, loop, loop_html(loop) if loop else paragraph(text))
 
     def _show_loop(self, settings: Settings, loop: Loop | None, text: str) -> None:
-        self.tension.show_loop(loop)
-        self.body.show_loop(loop)
-        self.memory.text.object = text
+        shown = loop if loop is not None and loop.shown else None
+        self.tension.show_loop(shown)
+        self.body.show_loop(shown)
+        self.past_text.object = text
         self._done(settings, ["past"])
 
     def _on_page(self, function: Callable[..., None], *arguments: object) -> None:

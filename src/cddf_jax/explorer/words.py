@@ -4,21 +4,11 @@ from collections.abc import Iterable, Sequence
 from html import escape
 
 import numpy as np
-from jaxtyping import Array
 
-from ..statics.status import Status, in_words, words_of
-from .answers import Picture, Taper
-from .loop import Loop
+from ..statics.status import in_words, words_of
+from .model import Picture, Taper
+from .past import Loop
 from .plots import tendon_look
-
-DOUBTFUL = (
-    "Do not rely on the numbers with their past: their error estimate is large. It becomes small again when the "
-    "tendons have slid along the whole body."
-)
-UNDETERMINED = (
-    " If a tendon does not stretch and is pulled from 0 N while another one holds the body bent, its friction is not "
-    "determined: set all tensions and forget the past, or give the tendons an axial_stiffness."
-)
 
 
 def _number(name: str, number: str, unit: str) -> str:
@@ -68,27 +58,14 @@ def paragraph(text: str) -> str:
 
 def loop_html(loop: Loop) -> str:
     """The present state with its past."""
+    words = words_of(loop.status)
     if not loop.shown:
-        return paragraph(lost(loop.state.status))
-    tips, name = loop.rows.tip_tension[-1], "past_tip_tension"
-    tensions = " and ".join(_number(f"{name}_{i}", f"{tip:.4f}", "N") for i, tip in enumerate(tips, 1))
-    angle = _number("past_tip_angle", f"{np.degrees(loop.rows.tip_angle[-1]):.3f}", "deg")
-    front = _number("front", f"{1e3 * loop.state.front[loop.tendon]:.2f}", "mm")
-    which = "The tendon" if len(tips) == 1 else f"Tendon {loop.tendon + 1}"
-    text = f"With its past (purple): {tensions} at the tip, {angle}. {which} slid last up to {front} from the base. "
-    if not loop.by_turns:
-        error = _number("past_error_estimate", f"{loop.state.error_estimate:.1e}", "")
-        text += f"Error estimate {error.strip()}. Loads are steps of this path. Another body begins a new path. "
-    from_zero = len(tips) > 1 and bool(np.any(loop.rows.base_tension == 0.0))
-    warning = "" if loop.state.status == Status.successful else paragraph(DOUBTFUL + UNDETERMINED * from_zero)
-    return f"{warning}<p>{text}All other numbers are those of a pull from rest.</p>"
-
-
-def lost(status: Array) -> str:
-    """Why there are no numbers after a step."""
-    if status == Status.not_converged:
-        return "The past is lost: a step of this move did not settle. Forget the past to start again."
-    return f"There is no answer with this past: {words_of(status)}"
+        return paragraph(f"There is no answer with this past: {words}")
+    tip = _number("past_tip_tension_1", f"{loop.tip_tension[-1]:.4f}", "N")
+    angle = _number("past_tip_angle", f"{np.degrees(loop.tip_angle[-1]):.3f}", "deg")
+    front = _number("front", f"{1e3 * loop.front:.2f}", "mm")
+    text = f"With its past (purple): {tip} at the tip, {angle}. The tendon slid last up to {front} from the base. "
+    return f"{paragraph(words) if words else ''}<p>{text}All other numbers are those of a pull from rest.</p>"
 
 
 def _line(tendon: int) -> str:

@@ -87,7 +87,7 @@ def sections_figure(columns: Sequence[SectionColumn]) -> Figure:
     """The points of each column of a table of cross-sections, and the profile that was taken for it.
 
     Args:
-        columns: of `section_columns`.
+        columns: of `read_cross_sections(path).columns`.
     """
     return draw.panels_figure(_draw_section_column, columns, SECTION_HEIGHT)
 

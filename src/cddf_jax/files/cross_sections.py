@@ -11,14 +11,14 @@ base, the last the tip. A step is two rows with the same arc length: the body be
 says which separators, decimal marks and encodings are understood.
 
 Between its points a table is read as straight lines, unless a smooth curve passes all of them at the tolerance, stays
-within the values of neighbouring points and does not turn back between them. `section_columns` says which profile was
-taken, `cddf_jax.figures.sections_figure` draws it, and every command that reads the body prints it.
+within the values of neighbouring points and does not turn back between them. `read_cross_sections(path).columns` says
+which profile was taken, `cddf_jax.figures.sections_figure` draws it, and every command that reads the body prints it.
 """
 
 import os
 import re
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -36,15 +36,6 @@ ROWS = 201  # that are written, besides those at joints
 ZIGZAG = 10  # a tendon whose turns add up to more than this times the range of its directions zigzags
 _COLUMNS = "arc_length, outer_radius, inner_radius, offset_1, offset_2, ..."
 _OFFSET = re.compile("offset(_[1-9][0-9]*)?")
-
-
-class CrossSections(NamedTuple):
-    """The body in a table of cross-sections, for `Manipulator(**sections._asdict(), youngs_modulus=..., ...)`."""
-
-    length: float  # m
-    outer_radius: Profile
-    inner_radius: Profile
-    tendons: tuple[Tendon, ...]
 
 
 class SectionColumn(NamedTuple):
@@ -66,12 +57,27 @@ class SectionColumn(NamedTuple):
         return f"{self.name}: {self.words}"
 
 
+class CrossSections(NamedTuple):
+    """The body in a table of cross-sections."""
+
+    length: float  # m
+    outer_radius: Profile
+    inner_radius: Profile
+    tendons: tuple[Tendon, ...]
+    columns: tuple[SectionColumn, ...]  # as they were read
+
+    @property
+    def body(self) -> dict[str, Any]:
+        """What the table says of the body, for `Manipulator(**sections.body, youngs_modulus=..., ...)`."""
+        return {name: value for name, value in self._asdict().items() if name != "columns"}
+
+
 def read_cross_sections(path: str | os.PathLike[str], *, tolerance: float = TOLERANCE) -> CrossSections:
     """The body in a CSV file of cross-sections; the module's text shows the columns.
 
     Each column becomes the simplest profile that passes every point at `tolerance` or less: a number, a straight
     line, a cubic spline of few knots that stays between neighbouring points, or straight lines from point to point.
-    `section_columns` says which.
+    `columns` says which, and why.
 
     Args:
         path: the file.
@@ -80,20 +86,14 @@ def read_cross_sections(path: str | os.PathLike[str], *, tolerance: float = TOLE
     Raises:
         InputError: names the file, row (line), column, value and remedy.
     """
-    return sections_and_columns(path, tolerance)[0]
-
-
-def section_columns(path: str | os.PathLike[str], *, tolerance: float = TOLERANCE) -> tuple[SectionColumn, ...]:
-    """Each column as `read_cross_sections` reads it: its points, the profile that was taken, and why.
-
-    Args:
-        path: the file.
-        tolerance: as for `read_cross_sections`.
-
-    Raises:
-        InputError: as `read_cross_sections`.
-    """
-    return sections_and_columns(path, tolerance)[1]
+    if not (np.isfinite(tolerance) and tolerance > 0):
+        raise InputError(f"tolerance must be a positive length in m, got {tolerance}")
+    table = read_table(path, _KIND)
+    with within(path):
+        if table.unused:
+            names = ", ".join(short(column.name) for column in table.unused)
+            raise InputError(f"row {table.header}: unknown column {names}; known are {_COLUMNS}")
+        return _sections(table.columns, table.rows, tolerance)
 
 
 def in_one_line(columns: Sequence[SectionColumn]) -> str:
@@ -142,23 +142,7 @@ _KIND = Kind(
 )
 
 
-def sections_and_columns(
-    path: str | os.PathLike[str], tolerance: float
-) -> tuple[CrossSections, tuple[SectionColumn, ...]]:
-    """The results of `read_cross_sections` and `section_columns`."""
-    if not (np.isfinite(tolerance) and tolerance > 0):
-        raise InputError(f"tolerance must be a positive length in m, got {tolerance}")
-    table = read_table(path, _KIND)
-    with within(path):
-        if table.unused:
-            names = ", ".join(short(column.name) for column in table.unused)
-            raise InputError(f"row {table.header}: unknown column {names}; known are {_COLUMNS}")
-        return _sections(table.columns, table.rows, tolerance)
-
-
-def _sections(
-    columns: dict[str, np.ndarray], rows: list[int], tolerance: float
-) -> tuple[CrossSections, tuple[SectionColumn, ...]]:
+def _sections(columns: dict[str, np.ndarray], rows: list[int], tolerance: float) -> CrossSections:
     for column in ("arc_length", "outer_radius", "inner_radius"):
         if column not in columns:
             raise InputError(f"the column {column} is missing; add it")
@@ -178,7 +162,7 @@ def _sections(
         offset = _column(name, s[:count], distance, tolerance)
         read.append(_with_kinks(offset))
         tendons.append(Tendon(offset.profile, side, end=None if s[count - 1] == s[-1] else float(s[count - 1])))
-    return CrossSections(float(s[-1]), outer.profile, inner.profile, tuple(tendons)), tuple(read)
+    return CrossSections(float(s[-1]), outer.profile, inner.profile, tuple(tendons), tuple(read))
 
 
 def _column(name: str, s: np.ndarray, values: np.ndarray, tolerance: float) -> SectionColumn:

@@ -78,18 +78,19 @@ import tomllib
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 from jaxtyping import ArrayLike
 
 from ..errors import InputError, needed, within
 from ..quantities import QUANTITIES, dimension_of
 from ..robot.manipulator import Manipulator, PointMass, Tendon
-from ..robot.profiles import Constant, Profile, as_profile
-from ..units import quantity
-from .cross_sections import TOLERANCE, CrossSections, SectionColumn, sections_and_columns
-from .profile_forms import number_text, profile_form, read_profile
+from ..robot.profiles import Constant, Linear, Piecewise, Polyline, Profile, Spline, as_profile
+from ..units import Dimension, quantity, written
+from .cross_sections import TOLERANCE, SectionColumn, read_cross_sections
 from .writing import write_all
 
 _Table = Mapping[str, Any]
@@ -108,6 +109,7 @@ _OTHERS = ("kinematics", "rest_curvature", "gravity", *_SWITCHES, "name", "descr
 _UNLESS_GIVEN = {"free_length": 0.0, "poissons_ratio": 0.5}  # defaults, which are not written
 _STRAINS = ("twist", "about y", "about z")
 _SECTIONS = "cross_sections"
+FORMS = '"7 mm", { base, tip }, { ends, pieces }, { lines } or { spline }'
 
 
 class RobotFile(NamedTuple):
@@ -271,7 +273,7 @@ def _values(table: _Table, length: float, profiles: Sequence[str], where: str = 
 
 def _check_top(table: _Table) -> None:
     """Refuse keys that are unknown or contradict each other, and require those that must be there."""
-    given_elsewhere = {*CrossSections._fields} if _SECTIONS in table else set()
+    given_elsewhere = {"length", *_RADII, "tendons"} if _SECTIONS in table else set()
     given_elsewhere |= {"youngs_modulus", *_RADII} if "bending_stiffness" in table else set()
     for one, other in (("youngs_modulus", "bending_stiffness"), *((key, _SECTIONS) for key in ("length", *_RADII))):
         if one in table and other in table:
@@ -301,7 +303,7 @@ def _tables(table: _Table, key: str, one: str) -> list[_Table]:
 def _read_sections(table: _Table, folder: Path) -> tuple[dict[str, Any], tuple[SectionColumn, ...]]:
     """The body in the CSV file that is named, with the numbers in the tables of the tendons, and its columns."""
     file, tolerance = _named(table[_SECTIONS], folder)
-    sections, columns = sections_and_columns(file, tolerance)
+    sections = read_cross_sections(file, tolerance=tolerance)
     tendons = list(sections.tendons)
     tables = _tables(table, "tendons", "tendon") if "tendons" in table else [{}] * len(tendons)
     if len(tables) != len(tendons):
@@ -312,7 +314,7 @@ def _read_sections(table: _Table, folder: Path) -> tuple[dict[str, Any], tuple[S
         values = _values(own, sections.length, _TENDON_PROFILES, where)
         with within(where.removesuffix(": "), ValueError):
             tendons[i] = dataclasses.replace(tendons[i], **values)
-    return sections._replace(tendons=tuple(tendons))._asdict(), columns
+    return sections.body | {"tendons": tendons}, sections.columns
 
 
 def _named(value: object, folder: Path) -> tuple[Path, float]:
@@ -379,3 +381,71 @@ def _forms(owner: Manipulator | Tendon, keys: Iterable[str], length: ArrayLike, 
         for key, value in values.items()
         if value is not None and not (key in _UNLESS_GIVEN and value == _UNLESS_GIVEN[key])
     }
+
+
+# --- profiles ------------------------------------------------------------------------------------
+
+
+def read_profile(value: object, length: float, where: str, kind: Dimension) -> Profile:
+    """A profile in one of its forms; the length is that of the body, m. Messages begin with `where`."""
+    match value:
+        case str() | int() | float():
+            return Constant(quantity(value, kind, where))
+        case {"base": base, "tip": tip, **rest} if rest.keys() <= {"length"}:
+            ends = quantity(base, kind, f"{where}: base"), quantity(tip, kind, f"{where}: tip")
+            return Linear(*ends, length=quantity(rest["length"], "length", f"{where}: length") if rest else length)
+        case {"ends": list(ends), "pieces": list(pieces), **rest} if not rest:
+            joints = [quantity(end, "length", f"{where}: ends") for end in ends]
+            parts = [read_profile(piece, length, f"{where}: piece {i}", kind) for i, piece in enumerate(pieces, 1)]
+            make = partial(Piecewise, joints, parts)
+        case {"lines": list(points), **rest} if not rest:
+            make = partial(Piecewise.linear, *_points(points, f"{where}: lines", kind))
+        case {"spline": list(points), **rest} if not rest:
+            make = partial(Spline, *_points(points, f"{where}: spline", kind))
+        case _:
+            raise InputError(f"{where} is not a profile, got {value!r}; write {FORMS}")
+    with within(where, ValueError):  # errors of the profile itself, such as a wrong number of values
+        return make()
+
+
+def _points(points: Sequence[object], where: str, kind: Dimension) -> tuple[list[float], list[float]]:
+    knots, values, before = [], [], None
+    for point in points:
+        if not isinstance(point, list) or len(point) != 2:
+            raise InputError(f'{where} holds pairs [arc length, value], got {point!r}; write ["60 mm", "15 mm"]')
+        knots.append(quantity(point[0], "length", where))
+        values.append(quantity(point[1], kind, where))
+        if len(knots) > 1 and knots[-1] <= knots[-2]:
+            raise InputError(f"{where}: arc lengths must increase, got {point[0]!r} after {before!r}")
+        before = point[0]
+    return knots, values
+
+
+def profile_form(profile: Profile, length: ArrayLike, where: str, kind: Dimension) -> object:
+    """A profile in one of the forms that `read_profile` reads."""
+    value = partial(number_text, kind=kind)
+    match profile:
+        case Constant():
+            return value(profile.value)
+        case Linear():
+            own = {} if profile.length == length else {"length": number_text(profile.length)}
+            return {"base": value(profile.base), "tip": value(profile.tip), **own}
+        case Piecewise():
+            pieces = [
+                profile_form(piece, length, f"{where}: piece {i}", kind) for i, piece in enumerate(profile.pieces, 1)
+            ]
+            return {"ends": [number_text(end) for end in profile.ends], "pieces": pieces}
+        case Polyline() | Spline():
+            points = zip(profile.arc_length, profile.values, strict=True)
+            form = "lines" if isinstance(profile, Polyline) else "spline"
+            return {form: [[number_text(s), value(v)] for s, v in points]}
+    raise InputError(
+        f"{where}: a profile of type {type(profile).__name__} cannot be written to a file; "
+        "sample it into a Spline or Piecewise.linear"
+    )
+
+
+def number_text(value: ArrayLike, kind: Dimension = "length") -> float | str:
+    """A number for a file, with its unit if it has one."""
+    number = float(np.asarray(value))
+    return number if kind in ("dimensionless", "strain") else written(number, kind)

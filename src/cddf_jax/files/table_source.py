@@ -11,9 +11,8 @@ import io
 import os
 import re
 import zipfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from itertools import islice
-from types import ModuleType
 from typing import Any, NamedTuple
 
 from ..errors import InputError, needed
@@ -235,50 +234,43 @@ def _sheets(content: bytes) -> dict[str, list[Row]]:
     """The rows of each sheet that are not blank, all of one width, as text that gives every number exactly."""
     openpyxl = needed("openpyxl", "excel")
     try:
-        sheets = {name: list(rows) for name, rows in _loaded(openpyxl, content, values_only=True)}
-        _put_formulas(openpyxl, content, sheets)
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            nothing = (None, 0) if b'fullCalcOnLoad="1"' in archive.read("xl/workbook.xml") else (None,)
+        values, formulas = (
+            openpyxl.load_workbook(io.BytesIO(content), read_only=True, data_only=computed).worksheets
+            for computed in (True, False)
+        )
+        sheets = {one.title: _texts(one, own, nothing) for one, own in zip(values, formulas, strict=True)}
     except Exception as error:  # many kinds: a zip archive may hold anything
         raise InputError(
             f"is not a spreadsheet in the format .xlsx ({error}); save it as .xlsx or as CSV UTF-8"
         ) from None
     found = {}
     for name, rows in sheets.items():
-        width = max((i + 1 for cells in rows for i, value in enumerate(cells) if value is not None), default=0)
-        texts = ((i, [_text(value) for value in cells[:width]]) for i, cells in enumerate(rows, 1))
-        found[name] = [(i, cells + [""] * (width - len(cells))) for i, cells in texts if any(cells)]
+        width = max((i + 1 for cells in rows for i, text in enumerate(cells) if text), default=0)
+        padded = ((i, [*cells[:width], *[""] * (width - len(cells))]) for i, cells in enumerate(rows, 1))
+        found[name] = [(i, cells) for i, cells in padded if any(cells)]
     return found
 
 
-def _loaded(
-    openpyxl: ModuleType, content: bytes, *, values_only: bool = False, computed: bool = True
-) -> Iterator[tuple[str, Iterator[Sequence[Any]]]]:
-    """Name and rows of each sheet, of cells or their values: as last computed, or else the formulas."""
-    for sheet in openpyxl.load_workbook(io.BytesIO(content), read_only=True, data_only=computed).worksheets:
+def _texts(values: Any, formulas: Any, nothing: Collection[object]) -> list[list[str]]:
+    """The text of each cell of a sheet; of a formula that was never computed the formula.
+
+    The value of such a cell is one of `nothing`: it is empty, or 0 in some files.
+    """
+    for sheet in (values, formulas):
         sheet.reset_dimensions()  # the size in the file may be wrong
-        yield sheet.title, sheet.iter_rows(values_only=values_only)
-
-
-def _put_formulas(openpyxl: ModuleType, content: bytes, sheets: Mapping[str, list[Sequence[Any]]]) -> None:
-    """Put the text of a formula into each cell whose formula was never computed; it is empty, or 0 in some files."""
-    with zipfile.ZipFile(io.BytesIO(content)) as archive:
-        parts = [archive.read(name) for name in archive.namelist() if name.startswith("xl/worksheets/")]
-        nothing = (None, 0) if b'fullCalcOnLoad="1"' in archive.read("xl/workbook.xml") else (None,)
-    if not any(re.search(rb"<(\w+:)?f[ />]", part) for part in parts):
-        return
-    for (name, rows), (_, formulas) in zip(
-        _loaded(openpyxl, content), _loaded(openpyxl, content, computed=False), strict=True
-    ):
-        for i, (cells, own) in enumerate(zip(rows, formulas, strict=True)):
-            never = {
-                j: str(getattr(formula.value, "text", formula.value))
-                for j, (cell, formula) in enumerate(zip(cells, own, strict=True))
-                if formula.data_type == "f" and cell.value in nothing and cell.data_type != "str"  # an empty text
-            }
-            if never:
-                sheets[name][i] = [never.get(j, value) for j, value in enumerate(sheets[name][i])]
+    found = []
+    for cells, own in zip(values.iter_rows(), formulas.iter_rows(), strict=True):
+        never = (
+            f.data_type == "f" and c.value in nothing and c.data_type != "str" for c, f in zip(cells, own, strict=True)
+        )
+        found.append([_text(f.value if unknown else c.value) for c, f, unknown in zip(cells, own, never, strict=True)])
+    return found
 
 
 def _text(value: object) -> str:
+    value = getattr(value, "text", value)  # of a formula that fills several cells
     return "" if value is None else repr(value) if isinstance(value, float) else str(value).strip()
 
 

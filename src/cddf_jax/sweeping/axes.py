@@ -1,20 +1,22 @@
-"""The axes of a sweep: what varies along each dimension of its dataset."""
+"""The axes of a sweep: what varies along each dimension of its dataset, and samples of several numbers for one axis."""
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ..errors import InputError, within
-from ..mechanics.problem import Method
+from ..errors import InputError
 from ..numerics.given_numbers import check_numbers
 from ..robot.manipulator import KINEMATICS
-from ..statics.arguments import check_nodes
 from ..statics.named_numbers import holds, stem_and_tendon
+
+if TYPE_CHECKING:
+    from scipy.stats.qmc import QMCEngine
 
 OPTIONS = ("nodes", "method", "kinematics")  # each value has its own program
 PATH = "path"  # the attribute of a dataset that names the dimension whose base tensions were traced in their order
 ALONG_A_PATH = ("base_tension", "loads.")  # how the names of numbers begin that may vary along it
+Ranges = Mapping[str, tuple[float, float]]
 RESERVED = ("tendon", "point", "component", "axis", "result", "successful")
 
 
@@ -81,12 +83,54 @@ def _options(name: str, given: object) -> tuple[object, ...]:
     values = tuple(value.item() if isinstance(value, np.generic) else value for value in values)
     if not values:
         raise InputError(f"sweep: the axis {name!r} must be a list of one value or more, got {given!r}")
-    for value in values:
-        if name == "nodes":
-            with within("sweep", ValueError):
-                check_nodes(value)
-        elif name == "kinematics" and value not in KINEMATICS:
+    for value in values if name == "kinematics" else ():
+        if value not in KINEMATICS:
             raise InputError(f"sweep: kinematics {value!r} is not known; there are {', '.join(KINEMATICS)}")
-        elif name == "method" and (not isinstance(value, Method) or isinstance(value, type)):
-            raise InputError(f"sweep: method must be one such as FixedPoint(), got {value!r}")
     return values
+
+
+# --- samples --------------------------------------------------------------------------------------
+
+
+def latin_hypercube(ranges: Ranges, count: int, seed: int = 0) -> dict[str, np.ndarray]:
+    """`count` samples, one in each of `count` equal slices of every range.
+
+    Args:
+        ranges: by name, the least and the largest value, SI.
+        count: how many.
+        seed: of the generator; the same seed gives the same samples.
+
+    Returns:
+        By name, `count` values.
+
+    Raises:
+        InputError: for an empty range, or no samples.
+    """
+    from scipy.stats import qmc
+
+    return _spread(ranges, count, qmc.LatinHypercube(max(len(ranges), 1), rng=np.random.default_rng(seed)))
+
+
+def sobol(ranges: Ranges, count: int, seed: int = 0) -> dict[str, np.ndarray]:
+    """As `latin_hypercube`, by a scrambled Sobol sequence; `count` is a power of 2, which keeps its balance.
+
+    Raises:
+        InputError: also when `count` is not a power of 2.
+    """
+    if count < 1 or count & (count - 1):
+        raise InputError(f"sobol: count must be a power of 2 such as {2 ** max(count, 1).bit_length()}, got {count}")
+    from scipy.stats import qmc
+
+    return _spread(ranges, count, qmc.Sobol(max(len(ranges), 1), rng=np.random.default_rng(seed)))
+
+
+def _spread(ranges: Ranges, count: int, sampler: "QMCEngine") -> dict[str, np.ndarray]:
+    if not ranges or count < 1:
+        raise InputError(f"samples: give one range or more and a count of 1 or more, got {len(ranges)} and {count}")
+    for name, limits in ranges.items():
+        check_numbers(f"samples: the range of {name!r}", limits)
+        if np.shape(limits) != (2,) or not np.all(np.isfinite(limits)) or not limits[0] < limits[1]:
+            raise InputError(f"samples: the range of {name!r} must be (least, largest), got {limits!r}")
+    low, high = np.transpose(list(ranges.values()))
+    points = low + (high - low) * sampler.random(count)
+    return dict(zip(ranges, points.T, strict=True))

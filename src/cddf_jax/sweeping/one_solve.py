@@ -154,12 +154,11 @@ class OneSolve(eqx.Module):
     nodes: int = eqx.field(static=True)
     short_steps: int = eqx.field(static=True)
     method: Method = eqx.field(static=True)
-    dtype: np.dtype = eqx.field(static=True)
 
     def __call__(self, numbers: Numbers) -> dict[str, Array]:
         if not self.sensitivities:
             return self._answer(numbers)
-        by = {name: jnp.asarray(numbers.get(name, self.case.number(name)), self.dtype) for name in self.sensitivities}
+        by = {name: jnp.asarray(numbers.get(name, self.case.number(name)), float) for name in self.sensitivities}
 
         def real(by: Numbers) -> tuple[dict[str, Array], dict[str, Array]]:
             outputs = self._answer({**numbers, **by})
@@ -212,13 +211,8 @@ def _observed(name: str, function: Callable[[Equilibrium], ArrayLike], found: Eq
         raise InputError(f"sweep: the observable {name!r} does not give an array for an Equilibrium ({why})") from None
 
 
-def prepared(case: Case, kinematics: str, dtype: np.dtype) -> Case:
-    """The case with the given kinematics, and its numbers as JAX arrays of the given precision."""
-
-    def cast(leaf: object) -> object:
-        if not isinstance(leaf, float | np.ndarray | jax.Array):
-            return leaf
-        return jnp.asarray(leaf, dtype) if jnp.issubdtype(jnp.result_type(leaf), jnp.floating) else leaf
-
+def prepared(case: Case, kinematics: str) -> Case:
+    """The case with the given kinematics, and its numbers as JAX arrays."""
     with within("sweep", ValueError):  # published kinematics are those of the plane
-        return jax.tree.map(cast, replace(case, manipulator=replace(case.manipulator, kinematics=kinematics)))
+        there = replace(case, manipulator=replace(case.manipulator, kinematics=kinematics))
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float | np.ndarray) else leaf, there)

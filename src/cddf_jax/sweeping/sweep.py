@@ -57,7 +57,6 @@ def sweep(
     sensitivities: Sequence[str] = (),
     nodes: int = 16,
     method: Method = FixedPoint(),
-    precision: str | None = None,
     out: str | os.PathLike[str] | None = None,
     memory: float | None = None,
     chunk: int | None = None,
@@ -83,7 +82,6 @@ def sweep(
         observables: more outputs, by name, each a function of an `Equilibrium`.
         sensitivities: names of numbers; for each real output X and each number P the dataset then has X_by_P, the
             derivative.
-        precision: "float32" or "float64"; that of JAX unless given.
         out: path of a Zarr store. A sweep that was stopped, even by a kill, goes on where it was when it is started
             again. A store of another sweep is refused. Several processes (`jax.distributed`) share the work.
         memory: bytes that may be used; a quarter of the free memory unless given.
@@ -116,7 +114,6 @@ def sweep(
         sensitivities=_names("sensitivities", sensitivities),
         nodes=nodes,
         method=method,
-        precision=precision,
         memory=memory,
         chunk_size=chunk,
     )
@@ -145,7 +142,6 @@ class Sweep:
     sensitivities: tuple[str, ...] = ()
     nodes: int = 16
     method: Method = field(default_factory=FixedPoint)
-    precision: str | None = None
     memory: float | None = None
     chunk_size: int | None = None
 
@@ -184,15 +180,10 @@ class Sweep:
             return {name: dims for name, dims in of_history[2].items() if name != of_one_tendon}
         return (of_history if self.history else one_solve.OUTPUTS_OF)[self.case.components]
 
-    @cached_property
+    @property
     def dtype(self) -> np.dtype:
-        """The precision."""
-        widest = jax.dtypes.canonicalize_dtype(np.float64)
-        if self.precision not in (None, "float32", "float64"):
-            raise InputError(f"sweep: precision must be 'float32' or 'float64', got {self.precision!r}")
-        if self.precision == "float64" and widest != np.float64:
-            raise InputError("sweep: float64 is switched off in JAX; set jax.config.update('jax_enable_x64', True)")
-        return np.dtype(self.precision or widest)
+        """The precision, that of JAX."""
+        return jax.dtypes.canonicalize_dtype(np.float64)
 
     @cached_property
     def allowed(self) -> float:
@@ -255,7 +246,11 @@ class Sweep:
         wanted = [(slope_name(n, by) if by else n, n, by) for n in outputs for by in ("", *self.sensitivities)]
         wanted += [(SUCCESSFUL, SUCCESSFUL, ""), (RESULT, RESULT, "")]
         for index in np.ndindex(*(d.size if d.options else 1 for d in self.dimensions)):
-            shapes = jax.eval_shape(self.solver(index), inputs)
+            try:
+                with within("sweep", ValueError):
+                    shapes = jax.eval_shape(self.solver(index), inputs)
+            except TypeError as error:
+                raise InputError(str(error), where="sweep") from None
             if self.path:  # the steps are a dimension of the sweep
                 shapes = {name: jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for name, x in shapes.items()}
             for name, base, by in wanted:
@@ -300,12 +295,12 @@ class Sweep:
             for name, values in dimension.options.items()
         }
         kinematics = str(chosen.pop("kinematics", self.manipulator.kinematics))
-        case, observed = one_solve.prepared(self.case, kinematics, self.dtype), tuple(self.observables.items())
+        case, observed = one_solve.prepared(self.case, kinematics), tuple(self.observables.items())
         path = None
         if self.path is not None:
-            path = {name: jnp.asarray(values, self.dtype) for name, values in self.path.numbers.items()}
+            path = {name: jnp.asarray(values) for name, values in self.path.numbers.items()}
         asked = self.outputs, observed, self.sensitivities
-        one = OneSolve(case, path, *asked, self.nodes, self.short_steps, self.method, self.dtype)
+        one = OneSolve(case, path, *asked, self.nodes, self.short_steps, self.method)
         return replace(one, **chosen)
 
     # --- running ------------------------------------------------------------------------------------
