@@ -23,7 +23,6 @@ from ..statics.arguments import refuse_batch
 from . import bench
 from .camera import camera_start, check_reach, unexplained_pose
 from .course import SHORT_STEPS, Course, course_of, has_history
-from .order_checks import order_remarks
 from .parameters import (
     PLAIN,
     TRIALS,
@@ -38,7 +37,7 @@ from .parameters import (
 from .predictions import Numbers, Prediction, beyond_the_data, moved_by_finer_steps, predicted_rows
 from .random_effects import errors_of_base, fit_trials
 from .tension_before import Before, first_guesses, starts_of
-from .verdict import AGAINST, SolveResults, doubt, estimates_in_words, fit_warnings, solve_results, verdict_of
+from .verdict import AGAINST, SolveResults, doubt, drift_of, estimates_in_words, fit_warnings, solve_results, verdict_of
 
 POSITIVE = (0.0, None)
 
@@ -177,14 +176,10 @@ class Fit(LeastSquaresFit):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """The remarks of any fit; samples of a hold that are not independent; readings that contradict their order."""
-        alike = ((label, one.remark) for label, one in self.serial_correlation.items())
-        of_order = self._order_remarks if self.success else ()
-        return (*super().remarks, *(f"{label}: {remark}" for label, remark in alike if remark), *of_order)
-
-    @cached_property
-    def _order_remarks(self) -> tuple[str, ...]:
-        return tuple(order_remarks(self))
+        """The remarks of any fit; samples of a hold that are not independent; readings with a history that drift."""
+        alike = (f"{label}: {one.remark}" for label, one in self.serial_correlation.items() if one.remark)
+        drifts = (drift_of(self, group) for group in self.groups if self.success)
+        return (*super().remarks, *alike, *filter(None, drifts))
 
     @property
     def serial_correlation(self) -> dict[str, SerialCorrelation]:

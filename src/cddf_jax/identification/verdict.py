@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Int
 
 from ..estimation.determination import IDENTIFIED, NOT_IDENTIFIED, Determination
-from ..estimation.remarks import EXACT
+from ..estimation.remarks import EXACT, chance_of_more
 from ..estimation.whole_search import INTERRUPTED
 from ..measurements.columns import is_reading
 from ..measurements.holds import ALARM, LEAST_PAIRS
@@ -19,9 +19,10 @@ from ..measurements.table_warnings import warnings_of
 from ..measurements.trials import repeated_tables
 from ..statics.status import NOTEWORTHY, Status, words_of
 from ..units import preferred, shown
-from .bench import Bench, BenchModel
+from .bench import Bench, BenchModel, Group
 from .camera import frame_hint
 from .parameters import TRIALS, Parameters, parameter_named, starting_value, unit_of
+from .predictions import noise_of_readings
 from .random_effects import many_levels
 from .tension_before import is_past
 
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 
 LARGEST_FRICTION = 2.0  # a larger coefficient gives a warning
 INCOMPRESSIBLE = 0.5  # Poisson's ratio of an isotropic material that keeps its volume, the largest possible one
-CHANCE = 1e-3  # p-value below which residuals differ from trial to trial
+CHANCE = 1e-3  # p-value below which residuals drift, or differ from trial to trial
 SHOWN = 4  # levels that a warning names
 LARGEST_MOVE = 0.5  # standard errors; a larger error by short steps gives a warning
 AGAINST = "tendons travel against the direction that was found for them"
@@ -152,6 +153,29 @@ def fit_warnings(fit: "Fit") -> list[str]:
                 where = f"{np.count_nonzero(which)} of {np.count_nonzero(solves.read)} rows"
                 found.append(f"{where}, {rows_in_words(named_rows([solves.table], [which]))}: {words_of(status)}")
     return found
+
+
+def drift_of(fit: "Fit", group: Group) -> str:
+    """In words, that the residuals of a group with a history drift from the first step to the last; "" if not.
+
+    Two more parameters of the linearised model are tested: an error that grows with the step, and one that grows with
+    step times reading.
+    """
+    course = group.experiment.course if isinstance(group.experiment, Bench) else None
+    if course is None:
+        return ""
+    last = np.zeros(len(course.first_row))
+    np.maximum.at(last, course.trial, course.step)
+    time = (course.step / np.maximum(last[course.trial], 1.0) - 0.5)[group.there]
+    size = np.max(np.abs(group.observed), initial=1e-300)
+    columns = np.stack([time, time * group.observed / size], axis=1) / noise_of_readings(fit, group)[:, None]
+    chance = chance_of_more(fit.evidence, fit.standardised_residuals, group.label, columns)
+    if chance >= CHANCE:
+        return ""
+    return (
+        f"{group.label}: residuals drift from the first row to the last (p = {chance:.1g}); does the body creep, or "
+        "the zero of an instrument? Measure faster, or wait at each level"
+    )
 
 
 def merged_in_words(steady: Steady, table: Measurements) -> str:
