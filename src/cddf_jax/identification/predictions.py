@@ -1,7 +1,6 @@
 """Predictions of a fitted model: at given base tensions and tip forces, and for the rows of its tables.
 
-Also: which predictions lie beyond the data, how far finer steps along a history would move the estimates, and whether
-residuals have a normal distribution.
+Also: which predictions lie beyond the data, and how far finer steps along a history would move the estimates.
 """
 
 from collections.abc import Sequence
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
     from .fit import Fit
 
 SPANNED = 1e-9  # of the largest tension or force: rows as close to the range of the data count as inside
-SHAPIRO_ROWS = (3, 5000)  # between which the test of Shapiro and Wilk holds
 GRID = 100  # points of a curve
 
 Numbers = ArrayLike | Sequence[float] | Sequence[Sequence[float]]
@@ -159,33 +157,6 @@ def correlated_names(fit: "Fit") -> list[str]:
     if fit.rank == len(fit.names):
         return moving_names(fit)
     return [name for name in moving_names(fit) if fit.status[name] != NOT_IDENTIFIED]
-
-
-# --- residuals over their noise ------------------------------------------------------------------
-
-
-class Normality(NamedTuple):
-    """Whether the residuals of a group could be draws from a normal distribution."""
-
-    rows: int
-    p_value: float  # Shapiro and Wilk (1965); NaN where the test does not apply
-
-
-def normality(fit: "Fit") -> dict[str, Normality]:
-    """The test of Shapiro and Wilk for each group of data."""
-    return {name: normality_of(residual) for name, residual in fit.standardised_residuals.items()}
-
-
-def normality_of(residual: np.ndarray) -> Normality:
-    """The test of Shapiro and Wilk; NaN for too few, too many, equal or infinite residuals."""
-    from scipy.stats import shapiro
-
-    low, high = SHAPIRO_ROWS
-    applies = low <= residual.size <= high and np.all(np.isfinite(residual)) and np.ptp(residual) > 0
-    if not applies:
-        return Normality(residual.size, float("nan"))
-    scaled = residual / np.ptp(residual)  # the test has no scale, but SciPy takes a range below 1e-19 for zero
-    return Normality(residual.size, float(shapiro(scaled).pvalue))
 
 
 # --- the model beside the rows -------------------------------------------------------------------

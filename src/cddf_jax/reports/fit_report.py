@@ -109,7 +109,7 @@ def fit_as_markdown(report: Report, figures: Sequence[str] | None = None) -> str
         _bullets("What each table alone determines", alone),
         _way_back_section(fit),
         _trial_section(fit),
-        _noise_section(report),
+        _noise_section(fit),
         _bullets("Without a model of the body", _model_free_in_words(report)),
         _bullets("Warnings", later),
         _bullets("What was stated about the bench", _stated(fit)),
@@ -262,10 +262,8 @@ def _trial_section(fit: Fit) -> list[str]:
     return _section("Trials", [text, "", *table] if rows else [])
 
 
-def _noise_section(report: Report) -> list[str]:
-    fit = report.fit
-    head = ("data", "standard deviation", "made of", "normal: Shapiro-Wilk p")
-    head += ("correlation from row to row of a hold", "count as independent")
+def _noise_section(fit: Fit) -> list[str]:
+    head = ("data", "standard deviation", "made of", "correlation from row to row of a hold", "count as independent")
     rows = []
     for label, deviation in fit.noise.items():
         scale, unit = preferred(column_dimension(label.rpartition(": ")[2]) or "dimensionless")
@@ -273,12 +271,12 @@ def _noise_section(report: Report) -> list[str]:
         if label in fit.noise_model:
             floor, fraction = (part or 0.0 for part in fit.noise_model[label])
             made_of = f"{scale * floor:.3g} {unit} and {100 * fraction:.3g} % of the value"
-        tests = _or_dash(report.normality[label].p_value, ".2g"), _or_dash(alike.lag_one, ".2f")
         independent = f"{alike.num_effective:.0f} of {alike.num_readings}"
-        rows.append([label, f"{scale * deviation:.3g} {unit}", made_of, *tests, independent])
+        size = f"{scale * deviation:.3g} {unit}"
+        rows.append([label, size, made_of, _or_dash(alike.lag_one, ".2f"), independent])
     for label, deviation in fit.input_noise.items():
         kind = "estimated" if label in fit.evidence.estimated_inputs else "as given" if deviation else "none is seen"
-        rows.append([label, f"{deviation:.3g} N", kind, "-", "-", "-"])
+        rows.append([label, f"{deviation:.3g} N", kind, "-", "-"])
     kind = "estimated from the residuals" if fit.noise_estimated else "as given"
     text = f"Noise {kind}; {fit.degrees_of_freedom} degrees of freedom; rank {fit.rank}; {fit.result}."
     return _section("Noise", [*markdown_table(head, rows), "", text])

@@ -17,7 +17,7 @@ from ..files.writing import picked
 from ..identification.bench import Bench
 from ..identification.fit import Fit
 from ..identification.parameters import unit_of
-from ..identification.predictions import Normality, normality, own_names
+from ..identification.predictions import own_names
 from ..measurements.table import Measurements
 from ..progress import each
 from ..robot.manipulator import Manipulator
@@ -71,7 +71,6 @@ class Report(NamedTuple):
     fit: Fit
     profiles: dict[str, Profile]  # by fitted parameter; none of a fit that failed
     bootstraps: tuple[Bootstrap, ...]
-    normality: dict[str, Normality]
     model_free: dict[str, ModelFree]  # by table
     loops: dict[str, LoopCompared]  # by table with a history
 
@@ -81,7 +80,7 @@ def make_report(fit: Fit, *, bootstraps: Sequence[Bootstrap] = (), with_profiles
     profiles = (
         {name: fit.profile(name) for name in each("profile", own_names(fit))} if fit.success and with_profiles else {}
     )
-    return Report(fit, profiles, tuple(bootstraps), normality(fit), _model_free(fit), _loops(fit))
+    return Report(fit, profiles, tuple(bootstraps), _model_free(fit), _loops(fit))
 
 
 def _model_free(fit: Fit) -> dict[str, ModelFree]:
@@ -145,7 +144,6 @@ def fit_as_dict(report: Report) -> dict[str, object]:
         "without_jitter": {
             name: {"unit": "N"} | picked(steady, OF_JITTER) for name, steady in fit.without_jitter.items()
         },
-        "normality": report.normality,
         "cost_from_each_start": fit.starts,
         "profiles": {name: _profile_as_dict(profile) for name, profile in report.profiles.items()},
         "bootstraps": [_bootstrap_as_dict(bootstrap) for bootstrap in report.bootstraps],
