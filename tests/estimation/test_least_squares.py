@@ -415,7 +415,8 @@ def test_a_model_without_a_number_is_reported_as_a_failure(sigma):
     assert not fit.success
     assert "no number" in fit.result
     assert fit.restarted == (
-        "the search ended where the model gives no number; 32 searches from other starts found nothing better"
+        "the search failed (the model gave no number at the estimate); 32 searches from other starts found nothing "
+        "better"
     )
     assert fit.status["a"] == "not identified"
     assert fit.standard_error["a"] == np.inf

@@ -48,7 +48,6 @@ class FitTask(NamedTuple):
 
     problem: LeastSquaresProblem  # with the first guess of the noise
     groups: tuple[Observed, ...]  # of the data
-    prefer_start: bool  # to end near the start in a valley that the data leave open
     inputs: InputErrors | None = None  # of the model, that were read with errors
 
 
@@ -59,7 +58,6 @@ class Ending(NamedTuple):
     evidence: Evidence
     determination: Determination
     result: str
-    lower: np.ndarray | None  # z of a place nearby where the cost is lower
 
     @property
     def success(self) -> bool:
@@ -67,8 +65,11 @@ class Ending(NamedTuple):
         return self.result == SUCCESSFUL
 
 
-def search_from(task: FitTask, z: np.ndarray) -> Ending:
-    """Weights from residuals and residuals from weights, until they agree; then a look along the valleys."""
+def search_from(task: FitTask, z: np.ndarray, *, again: bool = True) -> Ending:
+    """Weights from residuals and residuals from weights, until they agree; then a look along the valleys.
+
+    If that look finds a lower place, the search goes on there, once.
+    """
     minimum, settled = _settle_noise(task, z)
     evidence = _evidence(task, minimum)
     stopped = is_steep(minimum, evidence)
@@ -77,11 +78,9 @@ def search_from(task: FitTask, z: np.ndarray) -> Ending:
         evidence = replace(_evidence(task, minimum), kink=kink)
     first, determination = evidence, determine(evidence)
     evidence, least_rise, lower = look_along_valleys(minimum, evidence, determination)
+    if again and not stopped and lower is not None and least_rise < -NOTEWORTHY_FALL:
+        return search_from(task, lower, again=False)
     result = _result(minimum, evidence, least_rise, settled=settled, stopped=stopped)
-    if task.prefer_start and evidence.open_profile:
-        minimum = minimum._replace(outcome=nearest_to_start(minimum, evidence))
-        seen = {"open_profile": evidence.open_profile, "bounded_above": evidence.bounded_above}
-        evidence = replace(_evidence(task, minimum), **seen)
     if result != SUCCESSFUL:
         evidence = replace(evidence, failed=True, bounded_above=())
     if evidence is not first:  # the look along the valleys added something
@@ -89,13 +88,13 @@ def search_from(task: FitTask, z: np.ndarray) -> Ending:
     if result == SUCCESSFUL and not are_products(minimum, evidence, determination):
         evidence = replace(evidence, products=False)
         determination = determine(evidence)
-    return Ending(minimum, evidence, determination, result, lower)
+    return Ending(minimum, evidence, determination, result)
 
 
 def interrupted_at(task: FitTask, best: Minimum) -> Ending:
     """The ending of a search that was interrupted."""
     evidence = replace(_evidence(task, best), failed=True)
-    return Ending(best, evidence, determine(evidence), INTERRUPTED, None)
+    return Ending(best, evidence, determine(evidence), INTERRUPTED)
 
 
 def _settle_noise(task: FitTask, z: np.ndarray) -> tuple[Minimum, bool]:
@@ -299,17 +298,6 @@ def are_products(minimum: Minimum, evidence: Evidence, determination: Determinat
             if not rise <= enough:
                 return False
     return True
-
-
-def nearest_to_start(minimum: Minimum, evidence: Evidence) -> Outcome:
-    """The place along the first open valley where its parameter has its start value, if it fits equally well."""
-    problem, best = minimum
-    i, first = evidence.open_profile[0], problem.space.first()
-    (enough,) = closing_rise(evidence.uncertainty(np.eye(len(first))[[i]]))
-    held = hold_one(len(first), i, problem.space.start[i])
-    moved, _ = minimum.refit(held)
-    there = evaluate(problem, np.where(np.isnan(held), moved.z, first))
-    return there if there.cost - best.cost <= enough else best
 
 
 def _sides(space: ParameterSpace, i: int, value: float, half_width: float) -> tuple[np.ndarray, np.ndarray]:

@@ -346,7 +346,7 @@ def fit(
     scales = {name: kind.scale for name, kind in kinds.items() if kind.start is not None}
     observed, inputs = {group.label: group.observed for group in groups}, errors_of_base(model, tables, of_base)
     search = partial(least_squares_fit, model, observed=observed, sigma=sigma, inputs=inputs, bounds=bounds)
-    search = partial(search, loss=loss, seed=seed, prefer_start=True)
+    search = partial(search, loss=loss, seed=seed)
     if not per_trial:
         statistics = search(start, priors=priors, scales=scales, starts=starts)
         return _conclude(statistics, tables, model, setting, without_jitter, float("nan"), left_out, options)
