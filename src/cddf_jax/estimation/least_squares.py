@@ -185,6 +185,7 @@ def least_squares_fit(
     loss: str = "linear",
     starts: int | None = None,
     seed: int = 0,
+    prefer_start: bool = False,
     max_steps: int = MAX_STEPS,
     inputs: InputErrors | None = None,
 ) -> LeastSquaresFit:
@@ -209,6 +210,8 @@ def least_squares_fit(
             distance from a bound, or by the size of a parameter without bounds. Such a parameter has the other sign in
             one start of four.
         seed: of the further starts.
+        prefer_start: if the data leave a valley open, end where its first parameter has its start value, and not at the
+            shallow minimum that noise makes somewhere in the valley.
         max_steps: of the optimiser.
         inputs: of the model, where they were read with errors, see `InputErrors`.
 
@@ -249,7 +252,7 @@ def least_squares_fit(
             len(shared.basis),
         )
     problem = LeastSquaresProblem(predict, unravel, labels, data, shared, space, loss, max_steps)
-    task = FitTask(problem, groups, inputs)
+    task = FitTask(problem, groups, prefer_start, inputs)
     return _conclude(task.groups, jax.tree.structure(observed), search(task, starts, seed), seed)
 
 

@@ -48,6 +48,7 @@ class FitTask(NamedTuple):
 
     problem: LeastSquaresProblem  # with the first guess of the noise
     groups: tuple[Observed, ...]  # of the data
+    prefer_start: bool  # to end near the start in a valley that the data leave open
     inputs: InputErrors | None = None  # of the model, that were read with errors
 
 
@@ -81,6 +82,10 @@ def search_from(task: FitTask, z: np.ndarray, *, again: bool = True) -> Ending:
     if again and not stopped and lower is not None and least_rise < -NOTEWORTHY_FALL:
         return search_from(task, lower, again=False)
     result = _result(minimum, evidence, least_rise, settled=settled, stopped=stopped)
+    if task.prefer_start and evidence.open_profile:
+        minimum = minimum._replace(outcome=nearest_to_start(minimum, evidence))
+        seen = {"open_profile": evidence.open_profile, "bounded_above": evidence.bounded_above}
+        evidence = replace(_evidence(task, minimum), **seen)
     if result != SUCCESSFUL:
         evidence = replace(evidence, failed=True, bounded_above=())
     if evidence is not first:  # the look along the valleys added something
@@ -173,7 +178,8 @@ def _result(minimum: Minimum, evidence: Evidence, least_rise: float, *, settled:
         return STOPPED_SHORT
     if least_rise < -NOTEWORTHY_FALL:
         return BETTER_ELSEWHERE
-    if unexplained := unexplained_groups(evidence, minimum):
+    unexplained = unexplained_groups(evidence, minimum)
+    if unexplained and 2 * sum(unexplained.values()) >= minimum.problem.num_data:
         return (
             f"hardly anything of {', '.join(unexplained)} is explained (less than a fifth of the variance); "
             "check units and signs, start closer, or search from more starts"
@@ -298,6 +304,20 @@ def are_products(minimum: Minimum, evidence: Evidence, determination: Determinat
             if not rise <= enough:
                 return False
     return True
+
+
+def nearest_to_start(minimum: Minimum, evidence: Evidence) -> Outcome:
+    """The place along the first open valley where its parameter has its start value, if it fits equally well.
+
+    Noise makes shallow minima somewhere in the valley.
+    """
+    problem, best = minimum
+    i, first = evidence.open_profile[0], problem.space.first()
+    (enough,) = closing_rise(evidence.uncertainty(np.eye(len(first))[[i]]))
+    held = hold_one(len(first), i, problem.space.start[i])
+    moved, _ = minimum.refit(held)
+    there = evaluate(problem, np.where(np.isnan(held), moved.z, first))
+    return there if there.cost - best.cost <= enough else best
 
 
 def _sides(space: ParameterSpace, i: int, value: float, half_width: float) -> tuple[np.ndarray, np.ndarray]:
