@@ -316,7 +316,7 @@ def course_of(
             "of base tensions; give one tension for each column"
         )
     for own, start in zip(table.trials, starts, strict=True):
-        steadied = [_of_table(without_jitter(table[column][own], known.get(column, common)), own) for column in pulled]
+        steadied = [without_jitter(table[column][own], known.get(column, common)) for column in pulled]
         if exact:
             _check_directions(table, own, steadied[0], start)
         given = np.stack([*(steady.tension for steady in steadied), *force[own].T], axis=1)
@@ -333,25 +333,8 @@ def course_of(
         course = _course([path[:, 0] for path in paths], *of_rows, past)
     else:
         course = _stepped_course(paths, forces, *of_rows, past, short_steps)
-    return course, _together(found, tension)
-
-
-def _together(found: list[Steady], tension: np.ndarray) -> Steady:
-    """The base tensions of the table, with the noise and the ignored turns of all trials."""
-    largest = max(found, key=lambda steady: steady.noise)
-    ignored, merged = (
-        sum(steady.num_ignored for steady in found),
-        (level for steady in found for level in steady.merged),
-    )
-    return largest._replace(tension=tension, num_ignored=ignored, merged=tuple(merged))
-
-
-def _of_table(steady: Steady, rows: np.ndarray) -> Steady:
-    """The same with the levels by the rows of the table, from 0."""
-    own = rows.tolist()
-    return steady._replace(
-        merged=tuple(run._replace(first=own[run.first], last=own[run.last]) for run in steady.merged)
-    )
+    noisiest = max(found, key=lambda steady: steady.noise)
+    return course, noisiest._replace(tension=tension, num_ignored=sum(steady.num_ignored for steady in found))
 
 
 def _check_directions(table: Measurements, rows: np.ndarray, steady: Steady, start: Start) -> None:

@@ -339,14 +339,14 @@ def fit(
     bounds = own_bounds | {name: (low, None) for name, (_, low) in guesses.items()} | dict(bounds or {})
     sigma = noise_of(groups, noise)
     with within("fit"):
-        check_reach(model, groups, start, setting.given, bounds, sigma, outliers=loss != "linear")
+        check_reach(model, groups, free, setting.given, outliers=loss != "linear")
     pose = camera_parameters(manipulator)
     if set(pose) <= set(free) and not any(name in setting.given or name in bounds for name in pose):
         start |= camera_start(model, groups, start)
     scales = {name: kind.scale for name, kind in kinds.items() if kind.start is not None}
     observed, inputs = {group.label: group.observed for group in groups}, errors_of_base(model, tables, of_base)
     search = partial(least_squares_fit, model, observed=observed, sigma=sigma, inputs=inputs, bounds=bounds)
-    search = partial(search, loss=loss, seed=seed)
+    search = partial(search, loss=loss, seed=seed, prefer_start=True)
     if not per_trial:
         statistics = search(start, priors=priors, scales=scales, starts=starts)
         return _conclude(statistics, tables, model, setting, without_jitter, float("nan"), left_out, options)

@@ -36,7 +36,6 @@ class Steady(NamedTuple):
     noise: float  # standard deviation of a reading, N; 0 if none was found or stated
     least_turn: float  # N: a larger way back is a turn
     num_ignored: int  # how many turns of the readings are noise
-    merged: tuple[Level, ...] = ()  # what was made one level
 
 
 def without_jitter(readings: np.ndarray, noise: float | None = None) -> Steady:
@@ -66,7 +65,7 @@ def without_jitter(readings: np.ndarray, noise: float | None = None) -> Steady:
     noise = noise or float(np.std(level - steady))
     ignored = turns_of(readings).size - turns_of(steady).size
     tension = steady[holds] if ignored else readings
-    return Steady(tension, noise, 2 * float(np.max(error)), ignored, _merged(readings, tension))
+    return Steady(tension, noise, 2 * float(np.max(error)), ignored)
 
 
 def turns_of(level: np.ndarray, error: np.ndarray | None = None) -> np.ndarray:
@@ -120,10 +119,11 @@ def _split(readings: np.ndarray, holds: np.ndarray, noise: float) -> np.ndarray:
     return np.cumsum(new) - 1
 
 
-def _merged(readings: np.ndarray, tension: np.ndarray) -> tuple[Level, ...]:
+def merged_levels(readings: np.ndarray, tension: np.ndarray) -> list[Level]:
+    """The runs of different readings of one trial that became one tension."""
     ends = np.flatnonzero(np.append(True, np.diff(tension) != 0)).tolist()
     runs = (Level(first, end - 1, float(tension[first])) for first, end in pairwise([*ends, tension.size]))
-    return tuple(run for run in runs if np.ptp(readings[run.first : run.last + 1]) > 0)
+    return [run for run in runs if np.ptp(readings[run.first : run.last + 1]) > 0]
 
 
 def _is_ramp(readings: np.ndarray, holds: np.ndarray) -> bool:

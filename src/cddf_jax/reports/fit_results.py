@@ -39,7 +39,7 @@ OF_DETERMINATION = (
     *("names", "value", "standard_error", "confidence_interval", "status", "combinations", "sums", "correlation"),
     *("rank", "condition_number", "sloppy_direction"),
 )
-OF_JITTER = ("noise", "least_turn", "num_ignored", "merged")
+OF_JITTER = ("noise", "least_turn", "num_ignored")
 OF_MODEL_FREE = ("value", "standard_error", "confidence_interval", "verdict")
 OF_LOOP = (
     *("gain", "gain_standard_error", "gain_interval", "loss", "loss_standard_error", "zero", "zero_p_value"),
