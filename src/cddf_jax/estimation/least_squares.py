@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 
 import jax
 import numpy as np
-from jaxtyping import ArrayLike, PyTree
+from jaxtyping import PyTree
 
 from ..errors import InputError
 from ..numerics.given_numbers import check_numbers
-from .bootstrap import Bootstrap, Clusters, Path, Refits, bootstrap, refits
+from .bootstrap import Bootstrap, Clusters, Path, bootstrap
 from .determination import Determination, determine
 from .evidence import Evidence
 from .levenberg_marquardt import MAX_STEPS, Minimum
@@ -138,18 +138,6 @@ class LeastSquaresFit(Determination):
             clusters = self.clusters if kind == "cases" else {}
         freedom = np.min(self.evidence.uncertainty(np.eye(len(self.names))).freedom)
         return bootstrap(self.minimum, kind, replicates, clusters, float(freedom), seed, out)
-
-    def refits(self, observed: Mapping[str, ArrayLike], *, out: Path | None = None) -> Refits:
-        """The same fit to the data of many benches, starting at this estimate, with its weights.
-
-        Args:
-            observed: by group of data, (benches, *its shape); a group that is left out keeps its data.
-            out: path of a Zarr store, as for `bootstrap`.
-
-        Raises:
-            InputError: for an unknown group, data of another shape, a store of other work.
-        """
-        return refits(self.minimum, observed, out)
 
     def doubted(self, reason: str) -> "LeastSquaresFit":
         """The fit as a failed one, for a reason that is not in its sum of squares."""
