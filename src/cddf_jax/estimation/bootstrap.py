@@ -137,7 +137,7 @@ def _refit_all(
     clusters: Clusters,
     out: Path | None,
 ) -> Mapping[str, np.ndarray]:
-    """All the refits, chunk by chunk: the estimates, and which ended at a minimum. `of_draws` is in the identity of a store."""
+    """The estimates, and which ended at a minimum; `of_draws` is in the identity of a store."""
     problem, best = minimum
     names = problem.space.names
     shape, ended = (("replicate", "parameter"), (count, len(names))), (("replicate",), (count,))

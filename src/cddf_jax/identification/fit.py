@@ -1,6 +1,6 @@
 """`fit`: friction, modulus and the errors of the bench from measurements; and what the data do not determine."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 
@@ -14,7 +14,7 @@ from ..estimation.observations import Noise
 from ..estimation.parameter_space import Bounds, Priors
 from ..measurements.holds import SerialCorrelation, holds_of, serial_correlation
 from ..measurements.jitter import Steady
-from ..measurements.left_out import CONTRADICTED, LeaveOut, LeftOut, named_rows, without, without_contradicted
+from ..measurements.left_out import CONTRADICTED, LeaveOut, LeftOut, named_rows, without
 from ..measurements.markers import marker_column
 from ..measurements.table import Measurements
 from ..numerics.given_numbers import check_numbers
@@ -40,6 +40,7 @@ from .tension_before import Before, first_guesses, starts_of
 from .verdict import AGAINST, SolveResults, doubt, drift_of, estimates_in_words, fit_warnings, solve_results, verdict_of
 
 POSITIVE = (0.0, None)
+ROUNDS = 5  # of fits, each without the rows that the fits before contradict
 
 
 class Alone(Determination):
@@ -300,7 +301,7 @@ def fit(
     if isinstance(leave_out, str) and leave_out.strip() == CONTRADICTED:
         once = partial(fit, manipulator, free=free, priors=priors, bounds=bounds, noise=noise, setting=setting)
         once = partial(once, history=history, before=before, short_steps=short_steps, per_trial=per_trial, loss=loss)
-        return without_contradicted(partial(once, starts=starts, seed=seed, nodes=nodes), tables)
+        return _without_contradicted(partial(once, starts=starts, seed=seed, nodes=nodes, data=tables))
     with within("fit"):
         tables, left_out = without(tables, leave_out)
     own = [tendon.friction_coefficient is not None for tendon in manipulator.tendons]
@@ -355,6 +356,17 @@ def fit(
         raise InputError(f"fit: per_trial {remedy}")
     statistics, spread = fit_trials(search, int(earlier[-1]), start, priors or {}, scales, starts)
     return _conclude(statistics, tables, model, setting, without_jitter, spread, left_out, options)
+
+
+def _without_contradicted(once: Callable[..., Fit]) -> Fit:
+    """Fit, leave out the rows that the fit contradicts, and fit again, until it contradicts none."""
+    found, left = once(leave_out={}), LeftOut()
+    for _ in range(ROUNDS):
+        if not (more := found.contradicted):
+            break
+        left = {file: left.get(file, []) + more.get(file, []) for file in {**left, **more}}
+        found = once(leave_out=left)
+    return found
 
 
 def _courses(
