@@ -22,8 +22,8 @@ LARGEST_NOISE = 0.05  # of the largest: larger changes are steps, with any gaps
 STEP = 5.0  # standard deviations from the mean of a hold
 MEDIAN_CHANGE = 0.954  # of the size of a change, for noise of standard deviation 1
 MOST_STEPS = 0.2  # of the changes; with more steps the median of the changes is not noise
-ONE_WAY = 0.8  # net change over the sum of all changes within holds: where it is larger, the rows are a ramp
-LEAST_CHANGES = 4  # in a hold that can show a ramp
+LEAST_IN_HOLD, LEAST_HOLDS = 4, 8  # rows in a hold, and such holds, that can show a ramp
+ONE_WAY = 0.6  # share of holds whose readings change as the levels do, less the share of opposite ones, of a ramp
 ALARM = NormalDist().inv_cdf(1 - 1e-3)  # standard deviations of a correlation of independent readings
 LEAST_PAIRS = 10
 
@@ -76,7 +76,7 @@ def hold_labels(levels: ArrayLike, trial: ArrayLike) -> np.ndarray:
             count += 1
             mean = [here + (there - here) / count for there, here in zip(level, mean, strict=True)]
     labels = np.cumsum(new) - 1
-    return labels if by_gap or not _is_ramp(change[~new[1:]], labels[1:][~new[1:]]) else np.arange(rows)
+    return labels if by_gap or not any(is_ramp(column, labels) for column in scaled.T) else np.arange(rows)
 
 
 def _noise_of_levels(change: np.ndarray) -> tuple[float, bool]:
@@ -94,14 +94,14 @@ def _noise_of_levels(change: np.ndarray) -> tuple[float, bool]:
     return SAME_LEVEL, False
 
 
-def _is_ramp(change: np.ndarray, hold: np.ndarray) -> bool:
-    """Whether the level changes in one direction within holds; noise changes it up and down."""
-    if not hold.size:
-        return False
-    enough = np.bincount(hold) >= LEAST_CHANGES
-    net = sum(np.abs(np.bincount(hold, moves))[enough].sum() for moves in change.T)
-    gone = sum(np.bincount(hold, np.abs(moves))[enough].sum() for moves in change.T)
-    return bool(gone > 0 and net > ONE_WAY * gone)
+def is_ramp(level: np.ndarray, holds: np.ndarray) -> bool:
+    """Whether levels change within holds as they do from hold to hold: then they are a ramp, and not holds."""
+    size, row = np.bincount(holds), np.arange(level.size)
+    about = row - (np.bincount(holds, row) / size)[holds]
+    slope, mean = np.bincount(holds, about * level), np.bincount(holds, level) / size
+    around = np.concatenate([mean[:1], mean, mean[-1:]])
+    alike = (np.sign(slope) * np.sign(around[2:] - around[:-2]))[size >= LEAST_IN_HOLD]
+    return alike.size >= LEAST_HOLDS and bool(np.mean(alike) > ONE_WAY)
 
 
 def serial_correlation(residual: ArrayLike, labels: ArrayLike, num_parameters: float = 0.0) -> SerialCorrelation:
