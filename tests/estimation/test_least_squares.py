@@ -25,7 +25,6 @@ from straight_line import (
 
 from cddf_jax.errors import InputError
 from cddf_jax.estimation.least_squares import least_squares_fit
-from cddf_jax.estimation.parameter_space import Uniform
 
 # --- a straight line, where everything has a closed form -----------------------------------------
 
@@ -90,9 +89,9 @@ def test_noise_of_each_point():
     np.testing.assert_allclose(fit.covariance, covariance, rtol=SETTLED)
 
 
-@pytest.mark.parametrize("beside", [{}, {"a": Uniform(0.0, 5.0)}])  # whose bounds are far away
-def test_gaussian_prior(beside):
-    fit = least_squares_fit(line, START, NOISY, SIGMA, priors={"b": (0.6, 0.02), **beside})
+@pytest.mark.parametrize("bounds", [{}, {"a": (0.0, 5.0)}])  # far away
+def test_gaussian_prior(bounds):
+    fit = least_squares_fit(line, START, NOISY, SIGMA, bounds, priors={"b": (0.6, 0.02)})
     expected, covariance = posterior_with(0.6, 0.02)
     np.testing.assert_allclose([fit.value["a"], fit.value["b"]], expected, rtol=SETTLED)
     np.testing.assert_allclose(fit.covariance, covariance, rtol=SETTLED)
@@ -454,10 +453,7 @@ def test_too_few_steps_are_a_failure():
         ({"scales": {"a": np.nan}}, r"scale of 'a': needs a number > 0"),
         ({"start": {}}, "start: there is no parameter to fit"),
         ({"scales": {"c": 1.0}}, r"scale of 'c': needs a number > 0 and a parameter that is fitted"),
-        ({"priors": {"c": Uniform(0.0, 1.0)}}, "(prior|bounds) for 'c'"),
-        ({"priors": {"a": Uniform(3.0, 4.0)}}, "a starts at 1, which is not inside its bounds 3 to 4"),
-        ({"priors": {"a": Uniform(2.0, 0.0)}}, "prior for a: 2 to 0 is not a range; give the lower number first"),
-        ({"loss": "tukey"}, "loss 'tukey' is not known; there are linear, soft_l1, huber, cauchy"),
+        ({"loss": "tukey"}, "loss 'tukey' is not known; there are linear, huber, cauchy"),
         ({"starts": 0}, "starts must be a whole number of 1 or more, got 0"),
         ({"starts": 2.5}, r"starts must be a whole number of 1 or more, got 2\.5"),
         ({"starts": True}, "starts must be a whole number of 1 or more, got True"),

@@ -15,13 +15,10 @@ EXAMPLE = "Example: cddf fit data/smooth_sil_940.toml data/pulley_simulated.csv 
 LEAST_TRIALS = 3  # to draw from with replacement
 
 
-LossName = Literal["linear", "soft_l1", "huber", "cauchy"]
+LossName = Literal["linear", "huber", "cauchy"]
 PriorOption = Annotated[
     list[str] | None,
-    typer.Option(
-        help='A Gaussian prior such as "youngs_modulus=1.4 MPa +- 0.1 MPa", or a uniform one such as '
-        '"friction_coefficient=0.1..0.6".'
-    ),
+    typer.Option(help='A Gaussian prior such as "youngs_modulus=1.4 MPa +- 0.1 MPa".'),
 ]
 Bound = Annotated[
     list[str] | None,

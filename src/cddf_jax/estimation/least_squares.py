@@ -187,10 +187,10 @@ def least_squares_fit(
         sigma: standard deviation of the noise: one number, or the structure of `observed` with a number, an
             array, a `Noise(floor, fraction)` or None per group. None: it is estimated from the residuals.
         bounds: by parameter name, (lower, upper), None for none; the estimate stays inside.
-        priors: by parameter name, mean and standard deviation of a Gaussian, or `Uniform(low, high)`.
+        priors: by parameter name, mean and standard deviation of a Gaussian.
         scales: by parameter name, a size that matters, for parameters that may be 0. If the estimate is smaller, the
             standard error is compared with this size.
-        loss: "linear", "soft_l1", "huber" or "cauchy", in standard deviations of the noise. With a loss other than
+        loss: "linear", "huber" or "cauchy", in standard deviations of the noise. With a loss other than
             "linear" the noise is estimated by the median.
         starts: number of points to search from, the first being `start`. None: from `start` alone, and from up to 32
             more if that search failed, hardly explained the data or ended where the data do not determine the
@@ -223,7 +223,7 @@ def least_squares_fit(
     names, first = names_of(start), np.concatenate([leaf.ravel() for leaf in leaves])
     groups = group_observations(observed, sigma)
     prior = priors_of(names, priors or {})
-    limits = bounds_of(names, first, bounds or {}, priors or {})
+    limits = bounds_of(names, first, bounds or {})
     space = parameter_space(names, first, *limits, _scales(names, first, scales or {}, prior))
     data = Data(
         values=tuple(group.values for group in groups),

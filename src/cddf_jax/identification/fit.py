@@ -262,7 +262,7 @@ def fit(
             priors. With a history it may be `before` (`before_2` for trial 2), the largest base tension before the
             first row, N; of several tendons that of tendon 1 before it, and `before_tendon_2` (`before_tendon_2_3` for
             trial 3).
-        priors: by parameter, mean and standard deviation of a Gaussian, SI units, or `Uniform(low, high)`.
+        priors: by parameter, mean and standard deviation of a Gaussian, SI units.
         bounds: by parameter, (lower, upper), SI units; default (0, None) for what is positive.
         noise: by column, known standard deviation, SI units, a number or one per row, or `Noise(floor, fraction)`;
             what is not given is estimated, for each column of each table, from the residuals. That of `base_tension`

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtr, stdtr, stdtrit
+from scipy.special import stdtr, stdtrit
 
 from ..errors import InputError
 from ..measurements.jitter import without_jitter
@@ -28,7 +28,6 @@ ROUNDS = 20  # at most, to find the rows of a loop in which the whole tendon sli
 LEAST_ROWS = 2  # of a loop, on either branch
 LEAST_SLACK = 0.1  # of 1/T_base: the smallest 1/T_tip during the search for gain and loss
 SIGNIFICANT = 0.05  # smaller p-values are reported
-LARGEST_Z = 3.0  # larger disagreements are reported, or as unlikely ones where few rows or trials give the errors
 SMALLEST_ANGLE = 1e-9  # rad; a smaller angle counts as 0
 LEAST_LEFT = 1e-6  # of the determinant of all rows, without one label; with less the noise cannot be estimated
 FEWEST_TRIALS = 3  # with fewer, the scatter of trials is not estimated
@@ -53,13 +52,6 @@ class Constancy(NamedTuple):
             f"It drifts with base tension by more than chance ({numbers}): check the zeros of load cells "
             "and camera, and whether the tendon runs at a constant offset; one coefficient may not describe these rows."
         )
-
-
-class Disagreement(NamedTuple):
-    """A fitted mu compared with the one without a model."""
-
-    z: float  # their difference over its standard error; positive where the fit is larger
-    sentence: str  # empty where a |z| of this size is as likely as one of 3 or less of a normal distribution
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -153,37 +145,6 @@ def model_free_friction(table: Measurements, *, in_order: bool | None = None) ->
         degrees_of_freedom=freedom,
         confidence_interval=(value - half_width, value + half_width),
         constancy=_constancy(base, angle, residual, labels),
-    )
-
-
-def disagreement(
-    model_free: ModelFreeFriction, fit_value: float, fit_standard_error: float, fit_freedom: float
-) -> Disagreement:
-    """How far a fitted mu lies from the one without a model, in standard errors of their difference.
-
-    Its limit is that of Welch's t test: few rows or trials do not tell their own scatter well.
-
-    The two values are treated as independent, which they are if the fit is of a pulley test. From the same rows their
-    errors are alike, and the true |z| is larger than the one returned; so a disagreement that is found is real.
-
-    Args:
-        model_free: of `model_free_friction`.
-        fit_value: the friction coefficient of a fit.
-        fit_standard_error: its standard error; inf where it is not identified, then z is 0.
-        fit_freedom: the degrees of freedom of that error; inf where the noise was given.
-    """
-    difference = fit_value - model_free.value
-    error = float(np.hypot(model_free.standard_error, fit_standard_error))
-    z = difference / error if error > 0 else float(np.copysign(np.inf, difference)) if difference else 0.0
-    parts = np.array([model_free.standard_error, fit_standard_error]) / error if 0 < error < np.inf else np.zeros(2)
-    uncertain = float(np.sum(parts**4 / [model_free.degrees_of_freedom, fit_freedom]))
-    if not abs(z) > (-stdtrit(1 / uncertain, ndtr(-LARGEST_Z)) if uncertain > 0 else LARGEST_Z):
-        return Disagreement(z, "")
-    return Disagreement(
-        z,
-        f"the fit says friction_coefficient = {fit_value:.4g} +- {fit_standard_error:.2g}, tensions and tip angles "
-        f"alone {model_free.value:.4g} +- {model_free.standard_error:.2g}: {abs(z):.1f} standard errors apart; check "
-        "kinematics (exact for a real body), the offset of the tendon, and the zeros of load cells and camera",
     )
 
 

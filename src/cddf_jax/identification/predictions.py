@@ -211,21 +211,17 @@ def half_width(fit: "Fit", group: Group) -> np.ndarray:
 
 
 def has_numbers(fit: "Fit", group: Group) -> bool:
-    """Whether the model gave a finite prediction for each row, and along the whole curve where there is one."""
-    if not np.all(np.isfinite(fit.residuals[group.label])):
-        return False
-    curve = model_curve(fit, group)
-    curves = model_loops(fit, group) if curve is None else [curve]
-    return all(np.all(np.isfinite(curve.value)) for curve in curves)
+    """Whether the model gave a finite prediction for each row."""
+    return bool(np.all(np.isfinite(fit.residuals[group.label])))
 
 
 def tables_without_numbers(fit: "Fit") -> dict[str, str]:
     """By table, in words, the columns that the model gave no numbers for; such a table cannot be drawn."""
-    lost = {}
-    without = [group for group in fit.groups if not has_numbers(fit, group)]
-    for name, table in {group.name: group.table for group in without}.items():
-        columns = {group.column: fit.residuals[group.label] for group in without if group.name == name}
-        rows = max(np.sum(~np.isfinite(residual)) for residual in columns.values())
-        where = f" in {rows} of {len(table)} rows" if rows else " between the rows"
-        lost[name] = f"the model gave no numbers for {', '.join(columns)}{where}"
+    lost: dict[str, str] = {}
+    for name, table in zip(fit.model.names, fit.tables, strict=True):
+        without = [group for group in fit.groups if group.name == name and not has_numbers(fit, group)]
+        if without:
+            rows = max(np.sum(~np.isfinite(fit.residuals[group.label])) for group in without)
+            columns = ", ".join(group.column for group in without)
+            lost[name] = f"the model gave no numbers for {columns} in {rows} of {len(table)} rows"
     return lost

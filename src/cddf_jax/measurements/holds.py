@@ -144,9 +144,7 @@ def average_holds(table: Measurements) -> Measurements:
     """One reading for each hold: the mean of its rows. A fit may take these means as independent.
 
     The scatter of the means about the model includes what the rows of a hold have in common. A fit estimates it from
-    the means. `spread` of the new table is the standard deviation of the rows of each hold, by column. If there are too
-    few holds to estimate the noise, give it to the fit, `noise=table.spread`. It is too large if rows are independent,
-    and it does not contain what the rows of a hold have in common.
+    the means.
 
     Args:
         table: as it was read.
@@ -163,9 +161,8 @@ def average_holds(table: Measurements) -> Measurements:
     columns = {
         name: values[first] if name == "trial" else _mean(values, labels) for name, values in table.columns.items()
     }
-    spread = {column: _spread(table[column], labels) for column in columns if is_reading(column)}
     note = f"each hold averaged to one reading: {len(table)} rows became {first.size}"
-    return replace(table, columns=columns, rows=table.rows[first], notes=(*table.notes, note), spread=spread)
+    return replace(table, columns=columns, rows=table.rows[first], notes=(*table.notes, note), holds_averaged=True)
 
 
 def _mean(values: np.ndarray, labels: np.ndarray) -> np.ndarray:
@@ -174,12 +171,3 @@ def _mean(values: np.ndarray, labels: np.ndarray) -> np.ndarray:
     count = np.bincount(labels, there)
     total = np.bincount(labels, np.where(there, values, 0.0))
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
-
-
-def _spread(values: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """Standard deviation of the rows of each hold; that of all holds together for a hold without scatter."""
-    there = np.isfinite(values)
-    error = np.where(there, values - _mean(values, labels)[labels], 0.0)
-    count, squares = np.bincount(labels, there), np.bincount(labels, error**2)
-    pooled = squares.sum() / max(np.sum(np.maximum(count - 1, 0)), 1)
-    return np.sqrt(np.where(squares > 0, squares / np.maximum(count - 1, 1), pooled))

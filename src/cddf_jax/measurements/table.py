@@ -90,7 +90,7 @@ class Measurements:
         trial_labels: as written, in the order of their first appearance.
         notes: the text above the header.
         simulated: whether name or notes say so.
-        spread: by column, the standard deviation of the rows behind each mean of `average_holds`; else None.
+        holds_averaged: whether the rows are means of `average_holds`.
         read_as: how the file was understood, in lines that begin with its name; empty for a plain one.
         files: if the trials are files, their names, in the order of `trial_labels`.
         unread: columns that held no reading in any row and are left out.
@@ -104,7 +104,7 @@ class Measurements:
     trial_labels: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     simulated: bool = False
-    spread: Mapping[str, np.ndarray] | None = None
+    holds_averaged: bool = False
     read_as: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
     unread: tuple[str, ...] = ()

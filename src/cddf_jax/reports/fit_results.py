@@ -24,7 +24,7 @@ from ..robot.manipulator import Manipulator
 from ..statics.solve import solve
 
 if TYPE_CHECKING:
-    from ..identification.model_free import Disagreement, ModelFreeFriction, ModelFreeLoop
+    from ..identification.model_free import ModelFreeFriction, ModelFreeLoop
 
 PACKAGES = ("cddf-jax", "jax", "numpy", "scipy", "optimistix", "equinox")
 LEAST_ROWS = 3  # for friction without a model
@@ -55,7 +55,7 @@ class ModelFree(NamedTuple):
     """Friction without a model of the body, and how far that of the fit lies from it."""
 
     friction: "ModelFreeFriction"
-    disagreement: "Disagreement | None"  # None where the fit has no friction coefficient to compare
+    away: float | None  # in standard errors; None where the fit has no friction coefficient to compare
 
 
 class LoopCompared(NamedTuple):
@@ -88,20 +88,18 @@ def _model_free(fit: Fit) -> dict[str, ModelFree]:
     body = fit.manipulator
     if body.kinematics != "exact" or body.num_tendons != 1 or body.slanted:
         return {}
-    from ..identification.model_free import COLUMNS, disagreement, model_free_friction
+    from ..identification.model_free import COLUMNS, model_free_friction
 
     found, mu = {}, "friction_coefficient"
     for name, table in _from_rest(fit, COLUMNS):
         if len(table) >= LEAST_ROWS:
             with suppress(InputError):  # no row is bent
                 friction = model_free_friction(table, in_order=name in fit.without_jitter)
-                determined = mu in fit.names and np.isfinite(fit.standard_error[mu])
-                compared = None
-                if determined:
-                    reach = fit.evidence.uncertainty(np.array([[own == mu for own in fit.names]], float))
-                    freedom = float(reach.freedom[0])
-                    compared = disagreement(friction, fit.value[mu], fit.standard_error[mu], freedom)
-                found[name] = ModelFree(friction, compared)
+                away = None
+                if mu in fit.names and np.isfinite(fit.standard_error[mu]):
+                    error = float(np.hypot(friction.standard_error, fit.standard_error[mu]))
+                    away = (fit.value[mu] - friction.value) / error if error > 0 else None
+                found[name] = ModelFree(friction, away)
     return found
 
 
@@ -148,7 +146,7 @@ def fit_as_dict(report: Report) -> dict[str, object]:
         "profiles": {name: _profile_as_dict(profile) for name, profile in report.profiles.items()},
         "bootstraps": [_bootstrap_as_dict(bootstrap) for bootstrap in report.bootstraps],
         "model_free_friction": {
-            name: {"unit": "1"} | picked(found.friction, OF_MODEL_FREE) | {"disagreement": found.disagreement}
+            name: {"unit": "1"} | picked(found.friction, OF_MODEL_FREE) | {"standard_errors_away": found.away}
             for name, found in report.model_free.items()
         },
         "model_free_loop": {
@@ -166,7 +164,7 @@ def fit_as_dict(report: Report) -> dict[str, object]:
 def _table_as_dict(table: Measurements) -> dict[str, object]:
     named = {"files": table.files or (table.name,), "rows": len(table), "sha256": table.checksum}
     named |= {"markers": {name: marker._asdict() for name, marker in table.markers.items()}} if table.markers else {}
-    return picked(table, ("name", "simulated", "read_as")) | named | {"holds_averaged": table.spread is not None}
+    return picked(table, ("name", "simulated", "read_as")) | named | {"holds_averaged": table.holds_averaged}
 
 
 def _determination_as_dict(found: Determination) -> dict[str, object]:
