@@ -142,7 +142,7 @@ def test_predictions_along_a_loop(fitted):
     ("given", "message"),
     [
         ({"before": 75.0}, "predict: before is used with a history only; give history=True"),
-        ({"history": True, "before": 20.0}, "predict: step 1: before must be the largest base tension up to this row"),
+        ({"history": True, "before": 20.0}, "predict: row 1: before must be the largest base tension up to this row"),
         ({"history": True, "direction": 1}, "predict: with a history directions follow from it; leave direction out"),
     ],
 )

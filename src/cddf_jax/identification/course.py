@@ -23,7 +23,7 @@ from ..measurements.table import Measurements
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from .parameters import with_deviation
-from .tension_before import REST, Before, Past, Start, past_of, starts_of
+from .tension_before import REST, Past, Start, past_of
 
 STEPS = 16  # paths are traced in multiples of this number, so that tables share compiled programs
 FEW_STEPS = 4  # the same for paths that are followed in short steps
@@ -187,35 +187,6 @@ class Course(eqx.Module):
         return tips.tension, tips.heading, tips.position, status_of_tips(tips), None
 
 
-def course_along(
-    path: Float[np.ndarray, "steps tendons"],
-    tip_force: Float[np.ndarray, "steps 2"],
-    before: Before = REST,
-    short_steps: int = SHORT_STEPS,
-    *,
-    loaded: bool = False,
-) -> Course:
-    """The course of one path, every step of which is a row.
-
-    Args:
-        path: base tensions as read, N.
-        tip_force: N.
-        before: the tensions before the first step, as in `fit`.
-        short_steps: into how many short steps each step is divided where the answer is not exact.
-        loaded: whether there are loads besides the tip forces, which are the same in all rows.
-
-    Raises:
-        InputError: where `before` is below the first step of a single tendon, or is not one of this body.
-    """
-    exact = path.shape[1] == 1 and not np.any(tip_force) and not loaded
-    past = past_of(starts_of([1], before, (), path.shape[1])[0], path[:1], ["step 1"])
-    step = np.arange(len(path))
-    rows = np.zeros_like(step), step, np.zeros(1, int)
-    if exact:
-        return _course([path[:, 0]], *rows, past)
-    return _stepped_course([path], [tip_force], *rows, past, short_steps)
-
-
 def between(course: Course, points: int) -> tuple[Course, list[np.ndarray]]:
     """The same paths with `points` points along each, every point a row, trial by trial; and these paths, N."""
     paths, readings = [], np.asarray(course.readings)
@@ -257,6 +228,13 @@ def _stepped_course(
     stays = bool(np.all(force == force[:, :1]))
     tip_force = force if np.any(force) else None
     return Course(readings, trial, step, first_row, 0, past, tip_force, stays and tip_force is not None, short_steps)
+
+
+def tip_forces(table: Measurements) -> Float[np.ndarray, "rows components"]:
+    """The tip forces, N; with three components where there is a column of the third."""
+    none = np.zeros(len(table))
+    axes = "xyz" if "tip_force_z" in table else "xy"
+    return np.stack([table.columns.get(f"tip_force_{axis}", none) for axis in axes], axis=1)
 
 
 def has_history(table: Measurements, history: bool | None) -> bool:
@@ -301,9 +279,8 @@ def course_of(
         InputError: for a column `direction` of a single tendon that contradicts the order of the rows, a largest
             tension before a trial that is below that of its first row, or a past of another number of tendons.
     """
-    rows = len(table)
+    rows, force = len(table), tip_forces(table)
     pulled = [column for column in table.columns if column.startswith("base_tension")]
-    force = np.stack([table.columns.get(f"tip_force_{axis}", np.zeros(rows)) for axis in "xy"], axis=1)
     exact = len(pulled) == 1 and not np.any(force) and not loaded
     trial, step, tension = np.zeros(rows, int), np.zeros(rows, int), np.zeros(rows)
     paths, forces, found, first = [], [], [], []

@@ -13,13 +13,15 @@ from jaxtyping import ArrayLike
 
 from ..errors import InputError, within
 from ..estimation.determination import AT_BOUND, NOT_IDENTIFIED
+from ..measurements.readings import of_tendons
+from ..measurements.table import Measurements
 from ..mechanics.capstan import pulling_tension
 from ..numerics.given_numbers import check_numbers
 from ..programs.evaluated import evaluated
 from .bench import AllRows, Bench, BenchModel, Group
-from .course import SHORT_STEPS, between, course_along
+from .course import SHORT_STEPS, between, course_of
 from .parameters import TRIALS
-from .tension_before import REST, Before
+from .tension_before import REST, Before, starts_of
 
 if TYPE_CHECKING:
     from .fit import Fit
@@ -84,7 +86,12 @@ def predicted_rows(
     course = None
     if history:
         with within("predict"):
-            course = course_along(pulled, force, before, short_steps, loaded=setting.loads is not None)
+            starts = starts_of([1], before, (), tendons)[0]
+        columns = dict(zip(of_tendons("base_tension", tendons), pulled.T, strict=True))
+        columns |= {f"tip_force_{axis}": own for axis, own in zip("xyz", force.T, strict=False)}
+        path = Measurements("predict", columns, np.arange(1, rows + 1))
+        loaded = setting.loads is not None
+        course, _ = course_of(path, {"base_tension": 0.0}, starts, short_steps, loaded=loaded)
     return Bench(pulled, tuple(way), force if np.any(force) else None, course=course, setting=setting)
 
 
