@@ -143,7 +143,6 @@ def test_predictions_along_a_loop(fitted):
     [
         ({"before": 75.0}, "predict: before is used with a history only; give history=True"),
         ({"history": True, "before": 20.0}, "predict: row 1: before must be the largest base tension up to this row"),
-        ({"history": True, "direction": 1}, "predict: with a history directions follow from it; leave direction out"),
     ],
 )
 def test_paths_that_cannot_be_predicted(fitted, given, message):
@@ -241,7 +240,7 @@ def test_a_row_without_a_reading_is_still_a_step():
     columns = {"base_tension": [10.0, 60.0, 20.0], "tip_tension": [9.0, np.nan, 22.0], "step": [1, 2, 3]}
     gap = Measurements.from_columns("bench", **columns)
     assert "rows without a reading are steps of the path all the same: 1 of 3 rows (row 2 first)" in gap.read_as[0]
-    np.testing.assert_array_equal(course_of(gap)[0].readings[0, :3], [10.0, 60.0, 20.0])
+    np.testing.assert_array_equal(course_of(gap)[0].readings[0, :3, 0], [10.0, 60.0, 20.0])
     np.testing.assert_array_equal(experiment_of(gap, BODY).read_in["tip_tension"], [0, 2])
 
 
@@ -425,7 +424,7 @@ def test_what_came_before_several_tendons():
     np.testing.assert_allclose(known.path({})[:, 0], [[0, 0], [60, 5]])
     assert known.pulled[10]  # 64 N are more than 60 N
     second = [Start((60.0, 5.0), ("before_2", ""))], np.array([[64.0, 20.0]])
-    assert first_guesses(PAIR, [second]) == {"before_2": (60.0, 0.0)}
+    assert first_guesses([second]) == {"before_2": (60.0, 0.0)}
     for before, free, message in (
         (60.0, (), r"base tensions of 2 tendons before the first row, N, in a list of trials such as .*, got 60.0"),
         ([(60.0, -1.0)], (), "before must be .rest. or the base tensions of 2 tendons"),

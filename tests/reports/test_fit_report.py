@@ -276,7 +276,7 @@ def test_rows_that_lie_apart_are_drawn_over_their_prediction(paper, load_cells):
 
 @pytest.mark.slow
 def test_two_tendons_are_drawn_over_their_predictions():
-    """Rows of the model itself, with noise; the prediction and its interval are those of `Fit.predict`."""
+    """Rows of the model itself, with noise; the interval is that of `Fit.band`."""
     pair, pulls = paper_body(num_tendons=2), np.array([[20.0, 5.0], [40.0, 5.0], [60.0, 10.0], [30.0, 8.0]] * 2)
     read = Bench(pulls, (np.ones(8), -np.ones(8))).evaluate(pair, {"friction_coefficient": 0.42}, 16)[0]
     noise = np.random.default_rng(0).normal(0, 0.01, (8, 2))
@@ -288,11 +288,11 @@ def test_two_tendons_are_drawn_over_their_predictions():
     assert labels == ["Predicted tip tension (N)", "Predicted tip tension 2 (N)"]
     axes = fit_figures.draw_fit(fit, column="tip_tension_2")
     drawn = next(line for line in axes.lines if line.get_marker() == "o")
-    predicted = fit.predict("tip_tension_2", pulls, direction=(1.0, -1.0))
-    np.testing.assert_allclose(drawn.get_xdata(), predicted.value, rtol=1e-9)
+    predicted = Bench(pulls, (np.ones(8), -np.ones(8))).evaluate(pair, fit.parameters, 16)
+    np.testing.assert_allclose(drawn.get_xdata(), predicted.readings["tip_tension_2"], rtol=1e-9)
     (bars,) = (item for item in axes.containers if item.get_label() == "95 % interval of the model")
     reach = [np.ptp(segment[:, 0]) / 2 for segment in bars[2][0].get_segments()]
-    np.testing.assert_allclose(reach, predicted.half_width, rtol=1e-9)
+    np.testing.assert_allclose(reach, fit.band(predicted.derivatives["tip_tension_2"]), rtol=1e-9)
 
 
 def test_a_failed_fit_still_has_a_report():

@@ -54,7 +54,7 @@ class Course(eqx.Module):
     One tendon without loads has an exact answer. Others are followed in short steps.
     """
 
-    readings: Float[np.ndarray | Array, "trials steps *tendons"]  # N, as read, without jitter; the last one is repeated
+    readings: Float[np.ndarray | Array, "trials steps tendons"]  # N, as read, without jitter; the last one is repeated
     trial: Int[np.ndarray | Array, " rows"]  # 0, 1, ... in the order of the paths
     step: Int[np.ndarray | Array, " rows"]
     first_row: Int[np.ndarray | Array, " trials"]  # a row of each trial
@@ -67,8 +67,7 @@ class Course(eqx.Module):
     @property
     def _falls(self) -> np.ndarray:
         """(trials, steps - 1), whether any base tension falls."""
-        falls = np.diff(np.asarray(self.readings), axis=1) < 0
-        return np.any(falls, axis=2) if falls.ndim == 3 else falls
+        return np.any(np.diff(np.asarray(self.readings), axis=1) < 0, axis=2)
 
     @property
     def turns(self) -> bool:
@@ -82,7 +81,7 @@ class Course(eqx.Module):
         At most `MOST_REMEMBERED`, those next to the largest moves.
         """
         found = []
-        for path in np.asarray(self.readings).reshape(*np.shape(self.readings)[:2], -1):
+        for path in np.asarray(self.readings):
             move = np.diff(path, axis=0, prepend=path[:1] if self.past is not None else 0 * path[:1])
             turns = np.zeros(len(path), bool)
             turns[0] = self.past is not None
@@ -97,10 +96,10 @@ class Course(eqx.Module):
 
     @property
     def along(self) -> np.ndarray:
-        """(directions, trials, steps, *tendons), changes of the readings: for each tendon of all steps but the turns,
+        """(directions, trials, steps, tendons), changes of the readings: for each tendon of all steps but the turns,
         then of the first turn of each trial, the second, and so on.
         """
-        turns, shape = self.turn_steps, (*np.shape(self.readings)[:2], int(np.prod(np.shape(self.readings)[2:])))
+        turns, shape = self.turn_steps, np.shape(self.readings)
         most = max(map(len, turns))
         most += -most % FEW_STEPS
         found = np.zeros((1 + most, shape[2], *shape))
@@ -109,12 +108,11 @@ class Course(eqx.Module):
             for trial, steps in enumerate(turns):
                 found[0, tendon, trial, steps, tendon] = 0.0
                 found[1 + np.arange(len(steps)), tendon, trial, steps, tendon] = 1.0
-        return found.reshape(-1, *np.shape(self.readings))
+        return found.reshape(-1, *shape)
 
     def path(self, parameters: Mapping[str, ArrayLike]) -> Float[Array, "trials path tendons"]:
         """The readings of the base tension, N; with a past, its tensions come first."""
         readings = jnp.asarray(self.readings)
-        readings = readings[..., None] if readings.ndim == 2 else readings
         if self.past is None:
             return readings
         return jnp.concatenate([self.past.tension(parameters)[:, None], readings], axis=1)
@@ -122,7 +120,7 @@ class Course(eqx.Module):
     @property
     def pulled(self) -> np.ndarray:
         """(rows,), whether the tension of tendon 1 rose towards the row."""
-        readings = np.asarray(self.readings).reshape(*np.shape(self.readings)[:2], -1)[..., 0]
+        readings = np.asarray(self.readings)[..., 0]
         stated = np.zeros(len(readings)) if self.past is None else np.asarray(self.past.stated)[:, 0]
         released = [bool(names[0]) for names in self.past.parameters] if self.past is not None else False
         first = (readings[:, 0] >= stated) & ~np.array(released)
@@ -189,45 +187,40 @@ class Course(eqx.Module):
 
 def between(course: Course, points: int) -> tuple[Course, list[np.ndarray]]:
     """The same paths with `points` points along each, every point a row, trial by trial; and these paths, N."""
-    paths, readings = [], np.asarray(course.readings)
+    paths, readings = [], np.asarray(course.readings)[..., 0]
     for k in range(len(readings)):
         steps = np.arange(np.max(np.asarray(course.step)[np.asarray(course.trial) == k]) + 1)
         places = np.union1d(np.linspace(0, steps[-1], points), steps)
         paths.append(np.interp(places, steps, readings[k, : steps.size]))
     sizes = [path.size for path in paths]
     trial, step = np.repeat(np.arange(len(paths)), sizes), np.concatenate([*map(np.arange, sizes)])
-    return _course(paths, trial, step, np.cumsum([0, *sizes[:-1]]), course.past), paths
+    first_row = np.cumsum([0, *sizes[:-1]])
+    columns = [path[:, None] for path in paths]
+    return _course(columns, [0 * path for path in columns], trial, step, first_row, course.past, None), paths
 
 
 def _course(
-    paths: Sequence[np.ndarray], trial: np.ndarray, step: np.ndarray, first_row: np.ndarray, past: Past | None
-) -> Course:
-    longest = max(map(len, paths))
-    longest += -longest % STEPS
-    readings = np.stack([np.pad(path, (0, longest - len(path)), mode="edge") for path in paths])
-    above = [] if past is None else [2 * max(np.max(readings), np.max(np.asarray(past.stated)), 1.0)]
-    most = max(_most_open(np.append(above, path)) for path in paths)
-    return Course(readings, trial, step, first_row, most, past)
-
-
-def _stepped_course(
     paths: Sequence[np.ndarray],
     forces: Sequence[np.ndarray],
     trial: np.ndarray,
     step: np.ndarray,
     first_row: np.ndarray,
     past: Past | None,
-    short_steps: int,
+    short_steps: int | None,
 ) -> Course:
+    """From the tensions and forces of each path, (steps, tendons) and (steps, components)."""
     longest = max(map(len, paths))
-    longest += -longest % FEW_STEPS
+    longest += -longest % (STEPS if short_steps is None else FEW_STEPS)
     readings, force = (
         np.stack([np.pad(each, ((0, longest - len(each)), (0, 0)), mode="edge") for each in every])
         for every in (paths, forces)
     )
-    stays = bool(np.all(force == force[:, :1]))
-    tip_force = force if np.any(force) else None
-    return Course(readings, trial, step, first_row, 0, past, tip_force, stays and tip_force is not None, short_steps)
+    most, tip_force = 0, force if np.any(force) else None
+    if short_steps is None:
+        above = [] if past is None else [2 * max(np.max(readings), np.max(np.asarray(past.stated)), 1.0)]
+        most = max(_most_open(np.append(above, path)) for path in paths)
+    stays = bool(np.all(force == force[:, :1])) and tip_force is not None
+    return Course(readings, trial, step, first_row, most, past, tip_force, stays, short_steps)
 
 
 def tip_forces(table: Measurements) -> Float[np.ndarray, "rows components"]:
@@ -306,10 +299,7 @@ def course_of(
     places = [f"{table.name}: {table.place(int(row))}" for row in first]
     past = past_of(starts, np.array([path[0] for path in paths]), places)
     of_rows = trial, step, np.array(first)
-    if exact:
-        course = _course([path[:, 0] for path in paths], *of_rows, past)
-    else:
-        course = _stepped_course(paths, forces, *of_rows, past, short_steps)
+    course = _course(paths, forces, *of_rows, past, None if exact else short_steps)
     noisiest = max(found, key=lambda steady: steady.noise)
     return course, noisiest._replace(tension=tension, num_ignored=sum(steady.num_ignored for steady in found))
 

@@ -120,7 +120,6 @@ class Fit(LeastSquaresFit):
         column: str,
         base_tension: Numbers,
         tip_force: Numbers = (0.0, 0.0),
-        direction: Numbers | None = None,
         *,
         history: bool = False,
         before: Before = "rest",
@@ -132,9 +131,8 @@ class Fit(LeastSquaresFit):
                 column of a marker of the data, "x@120mm".
             base_tension: N, (rows,) where every tendon has the same tension, or (rows, tendons).
             tip_force: N, (2,) or (rows, 2), of a body in space (3,) or (rows, 3).
-            direction: 1 where tendons slide in and -1 where they slide out, broadcast to (rows, tendons); None where
-                it is to be found, as in `solve`.
-            history: whether the base tensions are a path, pulled and released in this order; every turn counts.
+            history: whether the base tensions are a path, pulled and released in this order; every turn counts. Else
+                each row is an equilibrium of its own, with the directions that `solve` finds.
             before: with a history, the tensions before the first row: "rest", or base tensions, N, as in `fit`.
 
         Raises:
@@ -142,7 +140,7 @@ class Fit(LeastSquaresFit):
         """
         tendons, setting = self.manipulator.num_tendons, self._setting(column)
         followed = {"history": history, "before": before, "short_steps": self._short_steps}
-        wanted = predicted_rows(base_tension, tip_force, direction, tendons, setting, **followed)
+        wanted = predicted_rows(base_tension, tip_force, tendons, setting, **followed)
         wanted.check_course(self.model.manipulator)
         shown = wanted.evaluate(self.model.manipulator, self.parameters, self.model.nodes)
         if column not in shown.readings:
@@ -389,8 +387,8 @@ def _courses(
         course_of(table, noise, starts, short_steps, loaded=loaded) if on else None for table, on, starts in of_tables
     ]
     known = [(own, course[0]) for own, course in zip(starts, courses, strict=True) if course]
-    first = [(own, np.asarray(course.readings)[:, 0].reshape(len(own), -1)) for own, course in known]
-    return courses, first_guesses(manipulator, first)
+    first = [(own, np.asarray(course.readings)[:, 0]) for own, course in known]
+    return courses, first_guesses(first)
 
 
 def _split(

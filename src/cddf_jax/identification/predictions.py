@@ -43,7 +43,6 @@ class Prediction(NamedTuple):
 def predicted_rows(
     base_tension: Numbers,
     tip_force: Numbers,
-    direction: Numbers | None,
     tendons: int,
     setting: AllRows,
     *,
@@ -54,35 +53,28 @@ def predicted_rows(
     """The rows to predict; arguments as in `Fit.predict`, and the setting that all rows share.
 
     Raises:
-        InputError: for numbers that are not finite, tensions below 0, shapes that do not fit, a history with stated
-            directions.
+        InputError: for numbers that are not finite, tensions below 0, shapes that do not fit.
     """
-    stated = {} if direction is None else {"direction": direction}
-    for name, given in {"base_tension": base_tension, "tip_force": tip_force, **stated}.items():
+    for name, given in {"base_tension": base_tension, "tip_force": tip_force}.items():
         check_numbers(f"predict: {name}", given)
-    tension = np.atleast_1d(np.asarray(base_tension, dtype=np.float64))
-    for name, numbers in {"base_tension": tension, "tip_force": tip_force, **stated}.items():
-        if not np.all(np.isfinite(np.asarray(numbers, np.float64))):
+        if not np.all(np.isfinite(np.asarray(given, np.float64))):
             raise InputError(f"predict: {name} must hold finite numbers")
+    tension = np.atleast_1d(np.asarray(base_tension, dtype=np.float64))
     if np.any(tension < 0):
         raise InputError(f"predict: base_tension must be 0 N or more, got {np.min(tension):g}; a tendon only pulls")
     tension = tension[:, None] if tension.ndim == 1 else tension
     rows = len(tension)
     try:
         pulled = np.broadcast_to(tension, (rows, tendons))
-        way = np.broadcast_to(np.asarray(direction, np.float64), (rows, tendons)).T if stated else (None,) * tendons
         components = 3 if np.shape(tip_force)[-1:] == (3,) else 2
         force = np.broadcast_to(np.asarray(tip_force, np.float64), (rows, components))
     except ValueError:
-        got = ", ".join(str(np.shape(given)) for given in (base_tension, tip_force, *stated.values()))
         raise InputError(
             f"predict: needs base_tension (rows,) or (rows, {tendons}), tip_force (2,) or (rows, 2), in space (3,) or "
-            f"(rows, 3), and direction of a shape that fits; got {got}"
+            f"(rows, 3); got {np.shape(base_tension)} and {np.shape(tip_force)}"
         ) from None
     if before != REST and not history:
         raise InputError("predict: before is used with a history only; give history=True")
-    if history and stated:
-        raise InputError("predict: with a history directions follow from it; leave direction out")
     course = None
     if history:
         with within("predict"):
@@ -92,7 +84,7 @@ def predicted_rows(
         path = Measurements("predict", columns, np.arange(1, rows + 1))
         loaded = setting.loads is not None
         course, _ = course_of(path, {"base_tension": 0.0}, starts, short_steps, loaded=loaded)
-    return Bench(pulled, tuple(way), force if np.any(force) else None, course=course, setting=setting)
+    return Bench(pulled, (None,) * tendons, force if np.any(force) else None, course=course, setting=setting)
 
 
 def beyond_the_data(wanted: Bench, model: BenchModel) -> np.ndarray:
