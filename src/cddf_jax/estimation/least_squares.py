@@ -32,7 +32,6 @@ class LeastSquaresFit(Determination):
 
     noise: dict[str, float]  # standard deviation by group of data, root mean square
     noise_model: dict[str, Noise]  # floor and fraction, of the groups that have them
-    noise_parts: dict[str, int]  # how many numbers of each group's noise were estimated
     noise_estimated: bool  # whether that of any group was estimated
     input_noise: dict[str, float]  # standard deviation by group of inputs; 0 where the data show none
     residuals: PyTree  # observed - predicted, in the structure of the data; with the inputs as they were read
@@ -64,7 +63,8 @@ class LeastSquaresFit(Determination):
     @property
     def num_estimated(self) -> int:
         """Parameters, and the numbers of the noise that were estimated."""
-        return len(self.names) + sum(self.noise_parts.values()) + len(self.evidence.estimated_inputs)
+        of_noise = sum(slopes.shape[1] for slopes in self.evidence.noise_slopes.values())
+        return len(self.names) + of_noise + len(self.evidence.estimated_inputs)
 
     @property
     def information_criteria(self) -> dict[str, float]:
@@ -275,7 +275,6 @@ def _conclude(groups: Sequence[Observed], structure: PyTree, searched: Searched,
         **vars(ending.determination),
         noise={g.name: float(np.sqrt(np.mean(s**2))) for g, s, _ in found},
         noise_model={name: model for name, model in models.items() if model is not None},
-        noise_parts={g.name: g.estimated_parts for g in groups},
         noise_estimated=any(ending.evidence.noise_estimated.values()),
         input_noise={name: float(value) for name, value in problem.shared.deviation.items()},
         residuals=jax.tree.unflatten(structure, [-r * s for _, s, r in found]),

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 from jaxtyping import ArrayLike
@@ -296,10 +297,13 @@ def fit(
         free = free_parameters(manipulator, free)
     if not all(isinstance(table, Measurements) for table in tables):
         raise InputError("fit: data must be tables as read_measurements gives them, one or several")
+    given: dict[str, Any] = {
+        **{"priors": priors or {}, "bounds": bounds or {}, "noise": noise or {}, "setting": setting, "nodes": nodes},
+        **{"history": history, "before": before, "short_steps": short_steps, "per_trial": per_trial, "loss": loss},
+        **{"starts": starts, "seed": seed},
+    }
     if isinstance(leave_out, str) and leave_out.strip() == CONTRADICTED:
-        once = partial(fit, manipulator, free=free, priors=priors, bounds=bounds, noise=noise, setting=setting)
-        once = partial(once, history=history, before=before, short_steps=short_steps, per_trial=per_trial, loss=loss)
-        return _without_contradicted(partial(once, starts=starts, seed=seed, nodes=nodes, data=tables))
+        return _without_contradicted(partial(fit, manipulator, tables, free, **given))
     with within("fit"):
         tables, left_out = without(tables, leave_out)
     own = [tendon.friction_coefficient is not None for tendon in manipulator.tendons]
@@ -309,12 +313,7 @@ def fit(
         raise InputError(f"fit: short_steps must be a whole number of 2 or more, got {short_steps!r}")
     if not tables or not free:
         raise InputError("fit: needs a table of measurements and a free parameter")
-    options: dict[str, object] = {
-        **{"free": list(free), "priors": priors or {}, "bounds": bounds or {}, "noise": noise or {}},
-        **{"setting": setting.as_dict(), "history": history, "before": before, "short_steps": short_steps},
-        **{"leave_out": left_out, "per_trial": per_trial, "loss": loss, "starts": starts, "seed": seed},
-        **{"nodes": nodes},
-    }
+    options = given | {"free": list(free), "setting": setting.as_dict(), "leave_out": left_out}
     kinds = {name: parameter_named(name) for name in free}
     earlier = np.cumsum([0, *(len(_trials(table)) for table in tables)])
     with within("fit"):

@@ -153,16 +153,15 @@ def average_holds(table: Measurements) -> Measurements:
         The table of means, each with the row of the file in which its hold begins. A table without holds is returned
         unchanged.
     """
-    table = table.in_order()
-    labels = holds_of(table)
+    order = table.order
+    columns, rows = {name: own[order] for name, own in table.columns.items()}, table.rows[order]
+    labels = holds_of(table)[order]
     first, size = np.unique(labels, return_index=True, return_counts=True)[1:]
     if np.all(size == 1):
         return table
-    columns = {
-        name: values[first] if name == "trial" else _mean(values, labels) for name, values in table.columns.items()
-    }
+    means = {name: values[first] if name == "trial" else _mean(values, labels) for name, values in columns.items()}
     note = f"each hold averaged to one reading: {len(table)} rows became {first.size}"
-    return replace(table, columns=columns, rows=table.rows[first], notes=(*table.notes, note), holds_averaged=True)
+    return replace(table, columns=means, rows=rows[first], notes=(*table.notes, note), holds_averaged=True)
 
 
 def _mean(values: np.ndarray, labels: np.ndarray) -> np.ndarray:

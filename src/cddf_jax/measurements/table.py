@@ -177,13 +177,6 @@ class Measurements:
         trial = self.trial[self.order]
         return [self.order[trial == number] for number in np.unique(trial)]
 
-    def in_order(self) -> "Measurements":
-        """The same rows in the order in which they were measured."""
-        if np.all(np.diff(self.order) == 1):
-            return self
-        columns = {name: values[self.order] for name, values in self.columns.items()}
-        return replace(self, columns=columns, rows=self.rows[self.order])
-
     def place(self, row: int) -> str:
         """The place of a row in words: "row 7", counted as in the file; with several files "row 7 of run_2.csv".
 
