@@ -38,17 +38,10 @@ from .parameters import (
 from .predictions import Numbers, Prediction, beyond_the_data, moved_by_finer_steps, predicted_rows
 from .random_effects import errors_of_base, fit_trials
 from .tension_before import Before, first_guesses, starts_of
-from .verdict import AGAINST, SolveResults, doubt, drift_of, estimates_in_words, fit_warnings, solve_results, verdict_of
+from .verdict import AGAINST, SolveResults, doubt, drift_of, fit_warnings, solve_results, verdict_of
 
 POSITIVE = (0.0, None)
 ROUNDS = 5  # of fits, each without the rows that the fits before contradict
-
-
-class Alone(Determination):
-    """What one table alone would determine."""
-
-    def __str__(self) -> str:
-        return "\n".join(estimates_in_words(self))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,8 +74,7 @@ class Fit(LeastSquaresFit):
         """What each table alone, without priors, would determine."""
         labels = {name: [g.label for g in self.groups if g.name == name] for name in self.model.names}
         trials = [name for name in self.evidence.space.names if name.startswith(TRIALS)]
-        found = {name: self.determined_by(*of, with_priors_of=trials) for name, of in labels.items()}
-        return {name: Alone(**vars(determination)) for name, determination in found.items()}
+        return {name: self.determined_by(*of, with_priors_of=trials) for name, of in labels.items()}
 
     @property
     def groups(self) -> list[bench.Group]:
