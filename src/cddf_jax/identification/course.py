@@ -33,7 +33,7 @@ CELLS = 2  # number of cells over number of nodes
 WITHOUT = "give history=False (--no-history), which lets each tendon slide one way in each row"
 
 
-LoadsWith = Callable[[Float[Array, "*steps 2"] | None], Loads | None]
+LoadsWith = Callable[[Float[Array, "*steps components"] | None], Loads | None]
 MarkersOn = Callable[[History], Float[Array, "steps markers components"] | None]
 
 
@@ -60,7 +60,7 @@ class Course(eqx.Module):
     first_row: Int[np.ndarray | Array, " trials"]  # a row of each trial
     max_turns: int = eqx.field(static=True)
     past: Past | None = None  # None: all trials start from rest
-    tip_force: Float[np.ndarray | Array, "trials steps 2"] | None = None  # N
+    tip_force: Float[np.ndarray | Array, "trials steps components"] | None = None  # N
     force_stays: bool = eqx.field(default=False, static=True)  # whether it is constant, and acts before the first step
     short_steps: int | None = eqx.field(default=None, static=True)  # of each step; None where the answer is exact
 
