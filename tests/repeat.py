@@ -4,7 +4,7 @@ from places import DATA
 
 import cddf_jax as cddf
 from cddf_jax.estimation.observations import Noise
-from cddf_jax.estimation.parameter_space import Prior, Uniform
+from cddf_jax.estimation.parameter_space import Prior
 
 
 def repeated(results, folder):
@@ -15,7 +15,7 @@ def repeated(results, folder):
     assert [table.checksum for table in tables] == [table["sha256"] for table in results["data"]]
     options = dict(results["options"])
     options["noise"] = {k: Noise(**v) if isinstance(v, dict) else v for k, v in options["noise"].items()}
-    options["priors"] = {k: (Prior if "mean" in v else Uniform)(**v) for k, v in options["priors"].items()}
+    options["priors"] = {k: Prior(**v) for k, v in options["priors"].items()}
     setting = options["setting"]
     loads = None if setting["loads"] is None else cddf.Loads(**setting["loads"])
     markers = {name: cddf.Marker(**marker) for name, marker in setting["markers"].items()}

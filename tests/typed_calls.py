@@ -118,8 +118,8 @@ def identification():
     loops.predict("tip_tension", up_and_down, history=True, before=15.0)
     cddf.average_holds(tensions)
     x = np.arange(4.0)
-    priors = {"a": cddf.Uniform(-10.0, 10.0)}
-    cddf.least_squares_fit(lambda p: p["a"] + p["b"] * x, {"a": 0.0, "b": 1.0}, 1.0 + 2.0 * x, priors=priors, sigma=0.1)
+    bounds = {"a": (-10.0, 10.0)}
+    cddf.least_squares_fit(lambda p: p["a"] + p["b"] * x, {"a": 0.0, "b": 1.0}, 1.0 + 2.0 * x, bounds=bounds, sigma=0.1)
     cddf.uncertain_cases(cddf.LoadCase(20.0), fit, num=2)
 
 

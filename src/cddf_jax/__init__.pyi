@@ -11,7 +11,6 @@ from .estimation.bootstrap import Bootstrap as Bootstrap
 from .estimation.determination import Determination as Determination
 from .estimation.least_squares import LeastSquaresFit as LeastSquaresFit, least_squares_fit as least_squares_fit
 from .estimation.observations import Noise as Noise
-from .estimation.parameter_space import Uniform as Uniform
 from .estimation.profile_likelihood import Profile as Profile
 from .files.cross_sections import read_cross_sections as read_cross_sections
 from .files.manipulator_file import (

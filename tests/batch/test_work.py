@@ -393,30 +393,3 @@ def test_a_bootstrap_goes_on_where_it_was(line, tmp_path, kind):
     np.testing.assert_array_equal(resumed.estimates, whole.estimates)
     with pytest.raises(cddf.InputError, match="its seed is 3, not 4"):
         fit.bootstrap(kind, 600, seed=4, out=tmp_path / "b.zarr")
-
-
-def test_refits_of_many_benches_are_linear_regressions(line, tmp_path):
-    x, _, fit = line
-    benches = np.random.default_rng(1).normal(size=(300, 20))
-    found = fit.refits({"data": benches}, out=tmp_path / "r.zarr")
-    slope, intercept = np.polyfit(x, benches.T, 1)
-    assert found.ended.all()
-    np.testing.assert_allclose(found.estimates[:, found.names.index("a")], intercept, atol=1e-5)
-    np.testing.assert_allclose(found.estimates[:, found.names.index("b")], slope, atol=1e-5)
-    dataset = xarray.open_zarr(tmp_path / "r.zarr", chunks=None, consolidated=False)
-    np.testing.assert_array_equal(dataset.estimate.sel(parameter="b"), found.estimates[:, found.names.index("b")])
-
-
-@pytest.mark.parametrize(
-    ("observed", "message"),
-    [
-        ({"dta": np.zeros((3, 20))}, "'dta' is not a group of data; there are data"),
-        ({"data": np.zeros((3, 19))}, r"must have shape \(benches, \*\(20,\)\), got \(3, 19\)"),
-        ({"data": np.zeros((0, 20))}, "must have shape"),
-        ({}, "give data; the groups are data"),
-        ({"data": np.full((3, 20), [np.nan] + [0.0] * 19)}, "not finite in bench 0"),
-    ],
-)
-def test_bad_benches(line, observed, message):
-    with pytest.raises(cddf.InputError, match=message):
-        line[2].refits(observed)

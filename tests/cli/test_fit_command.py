@@ -72,20 +72,24 @@ def test_prior_and_kinematics(answer_of):
 
 def test_options_of_a_fit(answer_of):
     """Against the library with the same options; of the pulley test alone, which needs no solve."""
-    options = ("--free", "friction_coefficient", "--prior", "friction_coefficient = uniform 0.1 .. 0.6")
-    answer = answer_of("fit", PAPER, PULLEY, *options, "--noise", "pulling_tension=0.1 N + 1 %", "--no-history")
+    options = ("--free", "friction_coefficient")
+    limits = ("--prior", "friction_coefficient = 0.4 +- 0.1", "--bound", "friction_coefficient=0.2:")
+    answer = answer_of(
+        "fit", PAPER, PULLEY, *options, *limits, "--noise", "pulling_tension=0.1 N + 1 %", "--no-history"
+    )
     fit = cddf.fit(
         cddf.read_manipulator(PAPER),
         cddf.read_measurements(PULLEY),
         free=("friction_coefficient",),
-        bounds={"friction_coefficient": (0.1, 0.6)},
+        priors={"friction_coefficient": (0.4, 0.1)},
+        bounds={"friction_coefficient": (0.2, None)},
         noise={"pulling_tension": Noise(0.1, 0.01)},
     )
     assert_the_fit(answer, fit)
     assert answer["options"] == {
         "free": ["friction_coefficient"],
-        "priors": {"friction_coefficient": {"low": 0.1, "high": 0.6}},
-        "bounds": {},
+        "priors": {"friction_coefficient": {"mean": 0.4, "standard_deviation": 0.1}},
+        "bounds": {"friction_coefficient": [0.2, None]},
         "noise": {"pulling_tension": {"floor": 0.1, "fraction": 0.01}},
         "setting": {"loads": None, "markers": {}, "given": {}},
         "history": False,

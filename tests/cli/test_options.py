@@ -10,7 +10,7 @@ from cddf_jax.cli.fit_options import read_before, read_leave_out, read_noise, re
 from cddf_jax.cli.options import read_data
 from cddf_jax.errors import InputError
 from cddf_jax.estimation.observations import Noise
-from cddf_jax.estimation.parameter_space import Prior, Uniform
+from cddf_jax.estimation.parameter_space import Prior
 from cddf_jax.files.actuation import read_actuation, read_directions, read_loads
 
 ONE, TWO = paper_body("exact"), paper_body("exact", num_tendons=2)
@@ -229,7 +229,6 @@ def test_wrong_loads(option, text, message):
 def test_priors_and_noise():
     for sign in ("+-", "±"):
         assert read_priors([f"youngs_modulus = 1.4 MPa {sign} 100 kPa"]) == {"youngs_modulus": Prior(1.4e6, 1e5)}
-    assert read_priors(["friction_coefficient = uniform 0.1 .. 0.6"]) == {"friction_coefficient": Uniform(0.1, 0.6)}
     assert read_noise(["tip_tension=0.0005 kN"]) == {"tip_tension": 0.5}
     assert read_noise(["tip_tension=0.2 N + 1 %"]) == {"tip_tension": Noise(0.2, 0.01)}
     assert read_noise(["tip_tension=1 %"]) == {"tip_tension": Noise(0.0, 0.01)}
@@ -269,7 +268,7 @@ def test_the_setting_of_a_bench():
             "mu=0.4 +- 0.1",
             "'mu' is not a parameter that can be fitted; there are friction_coefficient, young",
         ),
-        (read_priors, "friction_coefficient=0.1..", "--prior friction_coefficient is not a number, got ''"),
+        (read_priors, "friction_coefficient=0.1 +-", "--prior friction_coefficient is not a number, got ''"),
         (read_priors, "youngs_modulus=1.4 N +- 1 N", "--prior youngs_modulus needs a unit of pressure, got '1.4 N'"),
         (read_priors, "youngs_modulus=1.4 MPa +- 0.1", "--prior youngs_modulus needs a unit of pressure, got '0.1'"),
         (read_priors, "friction_coefficient=0.4 N +- 0.1", "--prior friction_coefficient is a plain number, got '0.4"),

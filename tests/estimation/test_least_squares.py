@@ -25,7 +25,6 @@ from straight_line import (
 
 from cddf_jax.errors import InputError
 from cddf_jax.estimation.least_squares import least_squares_fit
-from cddf_jax.estimation.parameter_space import Uniform
 
 # --- a straight line, where everything has a closed form -----------------------------------------
 
@@ -66,7 +65,6 @@ def test_a_line(noise, spread, quantile, rtol, request):
 def test_conditioning(known):
     scaled = DESIGN * [A_HAT, B_HAT] / SIGMA  # by noise and by the size of the parameters
     singular = np.linalg.svd(scaled, compute_uv=False)
-    np.testing.assert_allclose(known.singular_values, singular, rtol=SETTLED)
     assert known.condition_number == pytest.approx(singular[0] / singular[1], rel=SETTLED)
     assert known.rank == 2
     expected = COVARIANCE[0, 1] / np.sqrt(COVARIANCE[0, 0] * COVARIANCE[1, 1])
@@ -90,9 +88,9 @@ def test_noise_of_each_point():
     np.testing.assert_allclose(fit.covariance, covariance, rtol=SETTLED)
 
 
-@pytest.mark.parametrize("beside", [{}, {"a": Uniform(0.0, 5.0)}])  # whose bounds are far away
-def test_gaussian_prior(beside):
-    fit = least_squares_fit(line, START, NOISY, SIGMA, priors={"b": (0.6, 0.02), **beside})
+@pytest.mark.parametrize("bounds", [{}, {"a": (0.0, 5.0)}])  # far away
+def test_gaussian_prior(bounds):
+    fit = least_squares_fit(line, START, NOISY, SIGMA, bounds, priors={"b": (0.6, 0.02)})
     expected, covariance = posterior_with(0.6, 0.02)
     np.testing.assert_allclose([fit.value["a"], fit.value["b"]], expected, rtol=SETTLED)
     np.testing.assert_allclose(fit.covariance, covariance, rtol=SETTLED)
@@ -415,7 +413,8 @@ def test_a_model_without_a_number_is_reported_as_a_failure(sigma):
     assert not fit.success
     assert "no number" in fit.result
     assert fit.restarted == (
-        "the search ended where the model gives no number; 32 searches from other starts found nothing better"
+        "the search failed (the model gave no number at the estimate); 32 searches from other starts found nothing "
+        "better"
     )
     assert fit.status["a"] == "not identified"
     assert fit.standard_error["a"] == np.inf
@@ -453,10 +452,7 @@ def test_too_few_steps_are_a_failure():
         ({"scales": {"a": np.nan}}, r"scale of 'a': needs a number > 0"),
         ({"start": {}}, "start: there is no parameter to fit"),
         ({"scales": {"c": 1.0}}, r"scale of 'c': needs a number > 0 and a parameter that is fitted"),
-        ({"priors": {"c": Uniform(0.0, 1.0)}}, "(prior|bounds) for 'c'"),
-        ({"priors": {"a": Uniform(3.0, 4.0)}}, "a starts at 1, which is not inside its bounds 3 to 4"),
-        ({"priors": {"a": Uniform(2.0, 0.0)}}, "prior for a: 2 to 0 is not a range; give the lower number first"),
-        ({"loss": "tukey"}, "loss 'tukey' is not known; there are linear, soft_l1, huber, cauchy"),
+        ({"loss": "tukey"}, "loss 'tukey' is not known; there are linear, huber, cauchy"),
         ({"starts": 0}, "starts must be a whole number of 1 or more, got 0"),
         ({"starts": 2.5}, r"starts must be a whole number of 1 or more, got 2\.5"),
         ({"starts": True}, "starts must be a whole number of 1 or more, got True"),

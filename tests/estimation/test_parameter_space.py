@@ -6,7 +6,7 @@ import pytest
 from straight_line import A_HAT, B_HAT, NOISY, SIGMA, START, X, line
 
 from cddf_jax.estimation.least_squares import least_squares_fit
-from cddf_jax.estimation.parameter_space import Uniform, parameter_space
+from cddf_jax.estimation.parameter_space import parameter_space
 
 SETTLED = 1e-6  # what is quadratic near the minimum loses half of the digits of the cost
 
@@ -48,24 +48,7 @@ def test_the_same_model_again_is_not_compiled_again():
     assert len(traces) == count
 
 
-# --- uniform priors and scales ---------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("bound", [None, (0.2, None), (None, 0.7), (0.2, 0.9)])
-def test_a_uniform_prior_is_a_pair_of_bounds(bound):
-    bounds = None if bound is None else {"b": bound}
-    fit = least_squares_fit(line, {"a": 1.0, "b": 0.4}, NOISY, SIGMA, bounds, priors={"b": Uniform(0.3, 0.8)})
-    assert fit.success
-    np.testing.assert_allclose([fit.value["a"], fit.value["b"]], [A_HAT, B_HAT], rtol=SETTLED)
-    lower, upper = (0.3 if bound is None else max(0.3, bound[0] or 0.3)), min(0.8, (bound or (0, 0.8))[1] or 0.8)
-    i = fit.names.index("b")
-    assert (fit.evidence.space.lower[i], fit.evidence.space.upper[i]) == (lower, upper)
-
-
-def test_a_uniform_prior_off_the_data_ends_at_its_edge():
-    fit = least_squares_fit(line, {"a": 1.0, "b": 0.65}, NOISY, SIGMA, priors={"b": Uniform(0.6, 0.7)})
-    assert fit.status["b"] == "at bound"
-    assert fit.value["b"] == pytest.approx(0.6, abs=1e-4)
+# --- scales ---------------------------------------------------------------------------------------
 
 
 def test_a_scale_judges_what_is_zero():

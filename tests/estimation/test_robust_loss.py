@@ -10,9 +10,9 @@ from scipy import integrate, optimize, stats
 
 from cddf_jax.estimation.least_squares import least_squares_fit
 from cddf_jax.estimation.observations import Noise
-from cddf_jax.estimation.robust_loss import CAUCHY, HUBER, LOSSES, SOFT_L1
+from cddf_jax.estimation.robust_loss import CAUCHY, HUBER, LOSSES
 
-ROBUST = {"soft_l1": SOFT_L1, "huber": HUBER, "cauchy": CAUCHY}
+ROBUST = {"huber": HUBER, "cauchy": CAUCHY}
 ONE_AT_ONCE = [name if name == "huber" else pytest.param(name, marks=pytest.mark.slow) for name in ROBUST]
 X = np.linspace(0.0, 3.0, 60)
 DESIGN = np.stack([np.ones_like(X), X], axis=1)
@@ -36,7 +36,6 @@ def with_outliers(rng, clean, sigma=0.05, share=0.15, shift=1.0):
 
 # SciPy's rho(z) of z = (r / C)^2, from the documentation of scipy.optimize.least_squares; C^2 rho is what it sums
 SCIPY_RHO = {
-    "soft_l1": lambda z: 2 * (np.sqrt(1 + z) - 1),
     "huber": lambda z: np.where(z <= 1, z, 2 * np.sqrt(z) - 1),
     "cauchy": np.log1p,
 }

@@ -207,12 +207,11 @@ def test_a_marker_on_a_loop_in_space():
 
 def test_a_history_in_short_steps_has_no_markers_and_no_space():
     columns = {"base_tension": [10.0, 5.0], "step": [1, 2]}
-    table = cddf.Measurements.from_columns("bench", tip_z=[0.01, 0.0], **columns)
     loaded = cddf.BenchSetting(loads=cddf.Loads(tip_force=(0.0, -1.0, 0.0)))
-    with pytest.raises(
-        InputError, match="a history with a body in space is possible for one tendon without loads only"
-    ):
-        cddf.fit(winding(), table, setting=loaded)
+    for setting, force in ((loaded, {}), (cddf.BenchSetting(), {"tip_force_z": [1.0, 1.0]})):
+        table = cddf.Measurements.from_columns("bench", tip_z=[0.01, 0.0], **columns, **force)
+        with pytest.raises(InputError, match="with a body in space is possible for one tendon without loads only"):
+            cddf.fit(winding(), table, setting=setting)
     table = cddf.Measurements.from_columns("bench", **columns, **{"x@120mm": [0.1, 0.11]})
     loaded = cddf.BenchSetting(loads=cddf.Loads(tip_force=(0.0, -1.0)))
     with pytest.raises(InputError, match="a history with markers is possible for one tendon without loads only"):

@@ -11,7 +11,7 @@ from refusals import refused
 from scipy import stats
 
 from cddf_jax.errors import InputError
-from cddf_jax.identification.model_free import disagreement, model_free_friction
+from cddf_jax.identification.model_free import model_free_friction
 from cddf_jax.measurements.table import Measurements, read_measurements
 
 MU = 0.42
@@ -216,34 +216,6 @@ def test_what_the_verdict_cannot_check_it_mentions():
     assert any("both signs" in line for line in model_free_friction(signs).verdict)
 
 
-# --- beside a fit --------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("freedom", [np.inf, 4.0])
-def test_disagreement_with_a_fit(freedom):
-    """The limit is that of Welch (1947), Biometrika 34, 28, for what happens by chance as often as 3 normal errors."""
-    found = model_free_friction(table_of(BASE, ANGLE, noise=NOISE, rng=np.random.default_rng(13)))
-    squares = np.array([found.standard_error, 0.003]) ** 2
-    error, welch = np.sqrt(squares.sum()), squares.sum() ** 2 / np.sum(squares**2 / [BASE.size - 1, freedom])
-    limit = stats.t.isf(stats.norm.sf(3), welch)
-    near, far = (disagreement(found, found.value + k * limit * error, 0.003, freedom) for k in (0.99, 1.01))
-    assert near.z == pytest.approx(0.99 * limit)
-    assert near.sentence == ""
-    assert far.z == pytest.approx(1.01 * limit)
-    assert f"{1.01 * limit:.1f} standard errors apart; check" in far.sentence
-
-
-def test_disagreement_without_numbers():
-    found = model_free_friction(table_of(BASE, ANGLE, noise=NOISE, rng=np.random.default_rng(13)))
-    error = np.hypot(found.standard_error, 0.003)
-    assert disagreement(found, found.value - 4 * error, 0.003, np.inf).z == pytest.approx(-4)
-    assert disagreement(found, 5.0, np.inf, np.inf) == (0.0, "")  # not identified
-    exact = model_free_friction(Measurements.from_columns(base_tension=[2, 2], tip_tension=[1, 1], tip_angle=[1, 1]))
-    assert exact.standard_error == 0
-    assert disagreement(exact, exact.value, 0.0, np.inf) == (0.0, "")
-    assert disagreement(exact, 0.1, 0.0, np.inf).z == -np.inf
-
-
 def test_the_shipped_table():
     """data/README.md: mu 0.42; friction differs by 1 % from trial to trial, three of them, and the gain is 1.001."""
     table = read_measurements(DATA / "tip_angle_simulated.csv")
@@ -252,7 +224,6 @@ def test_the_shipped_table():
     assert abs(found.value - 0.42) < 3 * np.hypot(found.standard_error, shared)
     # the scatter of three trials is chi-distributed with 2 degrees of freedom: 99 % lie below 2.15 times the true one
     assert found.standard_error < 2.15 * 0.004
-    assert disagreement(found, 0.42, 0.0, np.inf).sentence == ""
 
 
 # --- errors --------------------------------------------------------------------------------------

@@ -6,8 +6,7 @@ from test_fit_of_loops import CELL, LOOP, loop, table
 from test_model_free import MU, table_of
 
 from cddf_jax.errors import InputError
-from cddf_jax.identification.model_free import model_free_friction, model_free_loop
-from cddf_jax.measurements.branches import branches
+from cddf_jax.identification.model_free import branches, model_free_friction, model_free_loop
 from cddf_jax.measurements.table import Measurements
 
 G = 0.42 / 1.4e6 * 2.942783188998e4  # (mu/E) int d/J of the paper's body, 1/N

@@ -7,6 +7,7 @@ import pytest
 
 import cddf_jax as cddf
 from cddf_jax.identification.bench import Bench, BenchModel, Evaluation
+from cddf_jax.identification.fit import _without_contradicted
 from cddf_jax.identification.verdict import SolveResults, doubt, estimates_in_words, solve_results, verdict_of
 from cddf_jax.measurements.table import Measurements
 
@@ -57,6 +58,19 @@ def test_all_contradicted_rows_are_named_with_the_option_that_leaves_them_out():
     told = doubt([one, other])
     assert "in 4 of 18 rows: rows 3-5 of bench (1) and row 3 of bench (2); " in told
     assert '--leave-out "bench (1)=3-5" --leave-out "bench (2)=3"' in told
+
+
+def test_rows_are_left_out_until_the_fit_contradicts_none():
+    """A stand-in for a fit contradicts rows 3 and 5, then 2, then none."""
+    asked = []
+
+    def fit(leave_out):
+        asked.append(leave_out)
+        rows = [[3, 5], [2], []][len(asked) - 1]
+        return SimpleNamespace(contradicted={"bench": rows} if rows else {}, number=len(asked))
+
+    assert _without_contradicted(fit).number == 3
+    assert asked == [{}, {"bench": [3, 5]}, {"bench": [3, 5, 2]}]
 
 
 def test_intervals_carry_their_unit():

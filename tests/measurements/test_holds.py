@@ -6,8 +6,6 @@ from bodies import paper_body
 from scipy import stats
 
 import cddf_jax as cddf
-from cddf_jax.identification.bench import BenchModel, experiment_of, groups_of
-from cddf_jax.identification.fit import noise_of
 from cddf_jax.measurements.holds import average_holds, hold_labels, serial_correlation
 from cddf_jax.measurements.table import Measurements
 from cddf_jax.reports import fit_report as report
@@ -120,26 +118,8 @@ def test_one_reading_a_hold():
     np.testing.assert_array_equal(found["direction"], [1, 1, 1, -1])
     np.testing.assert_array_equal(found["trial"], [0, 0, 1, 1])
     np.testing.assert_array_equal(found.rows, [1, 3, 4, 6])  # where each begins
-    deviation = np.sqrt(0.02)  # of two that differ by 0.2, and of both holds together
-    np.testing.assert_allclose(found.spread["tip_tension"], np.full(4, deviation), rtol=1e-12)
     assert found.notes[-1] == "each hold averaged to one reading: 6 rows became 4"
     assert average_holds(found) is found
-
-
-def test_the_spread_of_holds_is_noise_where_a_reading_is_missing():
-    """Three holds, of which the second has no angle: each reading goes with the spread of its own hold."""
-    table = Measurements.from_columns(
-        "bench",
-        base_tension=[5.0, 5.0, 10.0, 10.0, 20.0, 20.0],
-        tip_tension=[4.6, 4.8, 9.0, 9.2, 17.0, 17.2],
-        tip_angle=[0.1, 0.1 + 0.02, np.nan, np.nan, 0.4, 0.4 + 0.06],
-    )
-    found = average_holds(table)
-    experiment = experiment_of(found, paper_body())
-    noise = noise_of(groups_of((found,), BenchModel(paper_body(), (experiment,), 16)), found.spread)
-    # of two readings a difference over the root of 2
-    np.testing.assert_allclose(noise["bench: tip_angle"], np.array([0.02, 0.06]) / np.sqrt(2), rtol=1e-12)
-    np.testing.assert_allclose(noise["bench: tip_tension"], np.full(3, 0.2) / np.sqrt(2), rtol=1e-12)
 
 
 @pytest.mark.parametrize(("lag_one", "low", "high"), [(0.95, 0.2, 0.6), (0.0, 0.9, 1.0)])

@@ -1,13 +1,11 @@
-"""Rows that a fit leaves out: how they are named, what is left of a table, and the rounds of `contradicted`."""
-
-from types import SimpleNamespace
+"""Rows that a fit leaves out: how they are named, and what is left of a table."""
 
 import numpy as np
 import pytest
 
 import cddf_jax as cddf
 from cddf_jax.errors import InputError
-from cddf_jax.measurements.left_out import as_leave_out, rows_in_words, without, without_contradicted
+from cddf_jax.measurements.left_out import as_leave_out, rows_in_words, without
 from cddf_jax.measurements.trials import read_tables
 
 TENSION = np.linspace(5.0, 40.0, 8)
@@ -64,16 +62,3 @@ def test_refusals(rows, words):
     with pytest.raises(InputError) as error:
         without([table()], rows)
     assert words in str(error.value)
-
-
-def test_rows_are_left_out_until_the_fit_contradicts_none():
-    """A stand-in for a fit contradicts rows 3 and 5, then 2, then none."""
-    asked = []
-
-    def fit(tables, leave_out):
-        asked.append(leave_out)
-        rows = [[3, 5], [2], []][len(asked) - 1]
-        return SimpleNamespace(contradicted={"bench": rows} if rows else {}, number=len(asked))
-
-    assert without_contradicted(fit, [table()]).number == 3
-    assert asked == [{}, {"bench": [3, 5]}, {"bench": [3, 5, 2]}]

@@ -47,8 +47,5 @@ def design(
 
     read = read_task(task)
     options.note(read.read_as)
-    if pareto is None:
-        report = design_report(read, read.design())
-    else:
-        report = trade_off_report(read, read.pareto_front(pareto))
+    report = design_report(read, read.design()) if pareto is None else trade_off_report(read, read.pareto_front(pareto))
     options.give(report, out, as_json=as_json)

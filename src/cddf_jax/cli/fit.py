@@ -10,9 +10,13 @@ from . import options
 EXAMPLE = "Example: cddf fit data/smooth_sil_940.toml data/pulley_simulated.csv --out out/fit"
 PriorOption = Annotated[
     list[str] | None,
+    typer.Option(help='A Gaussian prior such as "youngs_modulus=1.4 MPa +- 0.1 MPa".'),
+]
+BoundOption = Annotated[
+    list[str] | None,
     typer.Option(
-        help='A Gaussian prior such as "youngs_modulus=1.4 MPa +- 0.1 MPa", or a uniform one such as '
-        '"friction_coefficient=0.1..0.6".'
+        help='Lowest and highest value of a parameter, such as "pretension=0 N:2 N". Either may be left out.',
+        show_default="above 0 or none",
     ),
 ]
 NoiseOption = Annotated[
@@ -39,6 +43,7 @@ def fit(
     column: options.Column = None,
     free: options.Free = None,
     prior: PriorOption = None,
+    bound: BoundOption = None,
     noise: NoiseOption = None,
     tip_force: options.TipForce = None,
     tip_moment: options.TipMoment = None,
@@ -62,13 +67,14 @@ def fit(
         from ..estimation.whole_search import INTERRUPTED
         from ..identification.fit import fit
         from ..reports.fit_report import fit_report, make_report
-        from .fit_options import read_before, read_leave_out, read_noise, read_priors, read_setting
+        from .fit_options import read_before, read_bounds, read_leave_out, read_noise, read_priors, read_setting
 
     found = fit(
         read.manipulator,
         options.read_data(data, column, holds_averaged=average_holds),
         free or None,
         read_priors(prior),
+        bounds=read_bounds(bound),
         noise=read_noise(noise),
         setting=read_setting(options.loads_of(read, tip_force, tip_moment, gravity), marker, given),
         history=history,

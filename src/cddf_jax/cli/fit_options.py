@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from ..errors import InputError
 from ..estimation.observations import Noise
-from ..estimation.parameter_space import Prior, Uniform
+from ..estimation.parameter_space import Prior
 from ..identification.parameters import BenchSetting, parameter_named
 from ..identification.tension_before import REST, Before, One
 from ..measurements.columns import column_dimension
@@ -14,25 +14,37 @@ from ..robot.loads import Loads
 from ..units import quantity, vector
 from .options import read_all
 
-PRIOR = '"youngs_modulus=1.4 MPa +- 0.1 MPa" or "friction_coefficient=0.1..0.6"'
+PRIOR = '"youngs_modulus=1.4 MPa +- 0.1 MPa"'
+BOUND = '"pretension=0 N:2 N"'
 GIVEN = '"tip_gain=1.03" or "camera_turn_z=3 deg"'
 LEAVE_OUT = '"run_2.csv=8, 14"'
 MARKER = '"head=0, 11, 0 mm at 80 mm"'
 NOISE = '"tip_tension=0.5 N" or "tip_tension=0.2 N + 1 %"'
 
 
-def read_priors(texts: Sequence[str] | None) -> dict[str, Prior | Uniform]:
-    """ "youngs_modulus=1.4 MPa +- 0.1 MPa" is a Gaussian, "friction_coefficient=0.1..0.6" uniform."""
+def read_priors(texts: Sequence[str] | None) -> dict[str, Prior]:
+    """ "youngs_modulus=1.4 MPa +- 0.1 MPa"."""
     return read_all(texts, "--prior", PRIOR, _prior)
 
 
-def _prior(name: str, text: str) -> Prior | Uniform:
-    numbers = text.replace("±", "+-").removeprefix("uniform")
-    kind, mark = (Uniform, "..") if ".." in numbers else (Prior, "+-")
-    first, found, second = numbers.partition(mark)
+def _prior(name: str, text: str) -> Prior:
+    first, found, second = text.replace("±", "+-").partition("+-")
     if not found:
         raise InputError(f"--prior {name}: write for example {PRIOR}, got {text!r}")
-    return kind(*(_of_parameter(name, part, "--prior") for part in (first, second)))
+    return Prior(*(_of_parameter(name, part, "--prior") for part in (first, second)))
+
+
+def read_bounds(texts: Sequence[str] | None) -> dict[str, tuple[float | None, float | None]]:
+    """ "pretension=0 N:2 N"; either side may be left empty."""
+    return read_all(texts, "--bound", BOUND, _bound)
+
+
+def _bound(name: str, text: str) -> tuple[float | None, float | None]:
+    low, colon, high = (part.strip() for part in text.partition(":"))
+    if not colon or not (low or high):
+        raise InputError(f"--bound {name}: write for example {BOUND}, got {text!r}")
+    lower, upper = (_of_parameter(name, end, "--bound") if end else None for end in (low, high))
+    return lower, upper
 
 
 def _of_parameter(name: str, text: str, option: str) -> float:

@@ -10,7 +10,6 @@ from os import PathLike
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import ArrayLike
 from scipy.special import ndtri, stdtr
 
 from ..batch.chunks import Coordinate, Index, Layout, Variable, even_chunks
@@ -123,67 +122,32 @@ def bootstrap(
     def draw(layout: Layout, index: Index) -> Data:
         return _draw(np.random.default_rng([seed, *index]), layout.count(index), minimum, kind, sources)
 
-    of_draws = {"kind": kind, "seed": seed}
-    found = _refit_all(minimum, draw, "replicate", replicates, of_draws, clusters, out)
-    kept, failed = found.estimates[found.ended], int(np.sum(~found.ended))
+    found = _refit_all(minimum, draw, replicates, {"kind": kind, "seed": seed}, clusters, out)
+    kept, failed = found["estimate"][found["ended"]], int(np.sum(~found["ended"]))
     num_cases = min(map(len, _cases(sources).values())) if kind == "cases" else 0
-    return Bootstrap(kind, found.names, kept, minimum.outcome.parameters, failed, seed, num_cases, noise_freedom)
-
-
-class Refits(NamedTuple):
-    """Estimates from the data of many benches."""
-
-    names: tuple[str, ...]
-    estimates: np.ndarray  # (benches, parameters)
-    ended: np.ndarray  # (benches,), at a minimum; the estimates of others are NaN
-
-
-def refits(minimum: Minimum, observed: Mapping[str, ArrayLike], out: Path | None) -> Refits:
-    """Fit the data of many benches, starting at the estimate; see `LeastSquaresFit.refits`."""
-    own, groups = minimum.problem.data, minimum.problem.groups
-    data = {name: np.asarray(values, float) for name, values in observed.items()}
-    shapes = {name: np.shape(value) for name, value in zip(groups, own.values, strict=True)}
-    for name, values in data.items():
-        if name not in shapes:
-            raise InputError(f"refits: {name!r} is not a group of data; there are {', '.join(groups)}")
-        if not np.all(np.isfinite(values)):
-            bench = int(np.argmin(np.all(np.isfinite(values.reshape(len(values), -1)), axis=1)))
-            raise InputError(f"refits: {name!r} holds a number that is not finite in bench {bench}; leave that one out")
-        if values.shape[1:] != shapes[name] or not len(values):
-            raise InputError(f"refits: {name!r} must have shape (benches, *{shapes[name]}), got {values.shape}")
-    if not data:
-        raise InputError(f"refits: give data; the groups are {', '.join(groups)}")
-    counts = {len(values) for values in data.values()}
-    if len(counts) != 1:
-        raise InputError(f"refits: give every group the data of the same number of benches, got {sorted(counts)}")
-
-    def draw(layout: Layout, index: Index) -> Data:
-        places = layout.region(index)[0]
-        pairs = zip(groups, own.values, strict=True)
-        return own._replace(values=tuple(data[name][places] if name in data else v for name, v in pairs))
-
-    return _refit_all(minimum, draw, "bench", counts.pop(), {}, data, out)
+    names = problem.space.names
+    return Bootstrap(kind, names, kept, minimum.outcome.parameters, failed, seed, num_cases, noise_freedom)
 
 
 def _refit_all(
     minimum: Minimum,
     draw: Callable[[Layout, Index], Data],
-    dimension: str,
     count: int,
     of_draws: Mapping[str, object],
-    drawn_from: object,
+    clusters: Clusters,
     out: Path | None,
-) -> Refits:
-    """All the refits, chunk by chunk. `of_draws` and `drawn_from` are part of the identity of a store."""
+) -> Mapping[str, np.ndarray]:
+    """The estimates, and which ended at a minimum; `of_draws` is in the identity of a store."""
     problem, best = minimum
     names = problem.space.names
+    shape, ended = (("replicate", "parameter"), (count, len(names))), (("replicate",), (count,))
     variables = {
-        "estimate": Variable((dimension, "parameter"), (count, len(names)), np.dtype(float), {"long_name": "estimate"}),
-        "ended": Variable((dimension,), (count,), np.dtype(bool), {"long_name": "ended at a minimum"}),
+        "estimate": Variable(*shape, np.dtype(float), {"long_name": "estimate"}),
+        "ended": Variable(*ended, np.dtype(bool), {"long_name": "ended at a minimum"}),
     }
     coords: dict[str, Coordinate] = {"parameter": (("parameter",), np.asarray(names), {})}
     chunks = even_chunks([count], CHUNK, [False])
-    layout = Layout({dimension: count}, chunks, coords, variables, {"title": "cddf_jax refits"})
+    layout = Layout({"replicate": count}, chunks, coords, variables, {"title": "cddf_jax refits"})
 
     def refit(layout: Layout, index: Index) -> dict[str, np.ndarray]:
         z = np.broadcast_to(best.z, (layout.count(index), best.z.size))
@@ -193,11 +157,10 @@ def _refit_all(
         return {"estimate": np.where(good[:, None], found.parameters, np.nan), "ended": good}
 
     def identity() -> dict[str, object]:
-        data_and_model = digest(json.dumps(numbers_of((problem, best.z, drawn_from))))
-        return {**of_draws, "data and model": data_and_model, dimension: count, "parameters": list(names)}
+        data_and_model = digest(json.dumps(numbers_of((problem, best.z, clusters))))
+        return {**of_draws, "data and model": data_and_model, "replicate": count, "parameters": list(names)}
 
-    found = carry_out("refitting", layout, identity, refit, out).values()
-    return Refits(names, found["estimate"], found["ended"])
+    return carry_out("refitting", layout, identity, refit, out).values()
 
 
 def _draw(rng: np.random.Generator, size: int, minimum: Minimum, kind: str, sources: Sources) -> Data:

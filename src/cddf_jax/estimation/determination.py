@@ -49,9 +49,8 @@ class Determination:
     sums: dict[str, Estimate]  # sums and differences of two unidentified parameters of one kind that are identified
     covariance: np.ndarray  # of the directions that the data determine
     correlation: np.ndarray  # of the same
-    singular_values: np.ndarray  # of the Jacobian scaled by noise and size of the parameters
     rank: int  # how many directions the data determine
-    condition_number: float  # largest over smallest singular value; inf where some are zero
+    condition_number: float  # of the Jacobian scaled by noise and size of the parameters; inf without full rank
     sloppy_direction: dict[str, float]  # powers of the parameters in the least determined combination
 
     def __str__(self) -> str:
@@ -106,7 +105,6 @@ def determine(evidence: Evidence) -> Determination:
         sums=_sums(evidence, lost & additive) if evidence.noise_known and not evidence.failed else {},
         covariance=spectrum.covariance * np.outer(size, size),
         correlation=spectrum.covariance / np.maximum(np.outer(spread, spread), TINY),
-        singular_values=spectrum.values,
         rank=rank,
         condition_number=float(spectrum.values[0] / spectrum.values[-1]) if rank == len(names) else np.inf,
         sloppy_direction=by_name(sloppy.tolist()),

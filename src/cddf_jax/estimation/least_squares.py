@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 
 import jax
 import numpy as np
-from jaxtyping import ArrayLike, PyTree
+from jaxtyping import PyTree
 
 from ..errors import InputError
 from ..numerics.given_numbers import check_numbers
-from .bootstrap import Bootstrap, Clusters, Path, Refits, bootstrap, refits
+from .bootstrap import Bootstrap, Clusters, Path, bootstrap
 from .determination import Determination, determine
 from .evidence import Evidence
 from .levenberg_marquardt import MAX_STEPS, Minimum
@@ -32,7 +32,6 @@ class LeastSquaresFit(Determination):
 
     noise: dict[str, float]  # standard deviation by group of data, root mean square
     noise_model: dict[str, Noise]  # floor and fraction, of the groups that have them
-    noise_parts: dict[str, int]  # how many numbers of each group's noise were estimated
     noise_estimated: bool  # whether that of any group was estimated
     input_noise: dict[str, float]  # standard deviation by group of inputs; 0 where the data show none
     residuals: PyTree  # observed - predicted, in the structure of the data; with the inputs as they were read
@@ -64,7 +63,8 @@ class LeastSquaresFit(Determination):
     @property
     def num_estimated(self) -> int:
         """Parameters, and the numbers of the noise that were estimated."""
-        return len(self.names) + sum(self.noise_parts.values()) + len(self.evidence.estimated_inputs)
+        of_noise = sum(slopes.shape[1] for slopes in self.evidence.noise_slopes.values())
+        return len(self.names) + of_noise + len(self.evidence.estimated_inputs)
 
     @property
     def information_criteria(self) -> dict[str, float]:
@@ -139,18 +139,6 @@ class LeastSquaresFit(Determination):
         freedom = np.min(self.evidence.uncertainty(np.eye(len(self.names))).freedom)
         return bootstrap(self.minimum, kind, replicates, clusters, float(freedom), seed, out)
 
-    def refits(self, observed: Mapping[str, ArrayLike], *, out: Path | None = None) -> Refits:
-        """The same fit to the data of many benches, starting at this estimate, with its weights.
-
-        Args:
-            observed: by group of data, (benches, *its shape); a group that is left out keeps its data.
-            out: path of a Zarr store, as for `bootstrap`.
-
-        Raises:
-            InputError: for an unknown group, data of another shape, a store of other work.
-        """
-        return refits(self.minimum, observed, out)
-
     def doubted(self, reason: str) -> "LeastSquaresFit":
         """The fit as a failed one, for a reason that is not in its sum of squares."""
         evidence = replace(self.evidence, failed=True, bounded_above=())
@@ -199,10 +187,10 @@ def least_squares_fit(
         sigma: standard deviation of the noise: one number, or the structure of `observed` with a number, an
             array, a `Noise(floor, fraction)` or None per group. None: it is estimated from the residuals.
         bounds: by parameter name, (lower, upper), None for none; the estimate stays inside.
-        priors: by parameter name, mean and standard deviation of a Gaussian, or `Uniform(low, high)`.
+        priors: by parameter name, mean and standard deviation of a Gaussian.
         scales: by parameter name, a size that matters, for parameters that may be 0. If the estimate is smaller, the
             standard error is compared with this size.
-        loss: "linear", "soft_l1", "huber" or "cauchy", in standard deviations of the noise. With a loss other than
+        loss: "linear", "huber" or "cauchy", in standard deviations of the noise. With a loss other than
             "linear" the noise is estimated by the median.
         starts: number of points to search from, the first being `start`. None: from `start` alone, and from up to 32
             more if that search failed, hardly explained the data or ended where the data do not determine the
@@ -235,7 +223,7 @@ def least_squares_fit(
     names, first = names_of(start), np.concatenate([leaf.ravel() for leaf in leaves])
     groups = group_observations(observed, sigma)
     prior = priors_of(names, priors or {})
-    limits = bounds_of(names, first, bounds or {}, priors or {})
+    limits = bounds_of(names, first, bounds or {})
     space = parameter_space(names, first, *limits, _scales(names, first, scales or {}, prior))
     data = Data(
         values=tuple(group.values for group in groups),
@@ -287,7 +275,6 @@ def _conclude(groups: Sequence[Observed], structure: PyTree, searched: Searched,
         **vars(ending.determination),
         noise={g.name: float(np.sqrt(np.mean(s**2))) for g, s, _ in found},
         noise_model={name: model for name, model in models.items() if model is not None},
-        noise_parts={g.name: g.estimated_parts for g in groups},
         noise_estimated=any(ending.evidence.noise_estimated.values()),
         input_noise={name: float(value) for name, value in problem.shared.deviation.items()},
         residuals=jax.tree.unflatten(structure, [-r * s for _, s, r in found]),

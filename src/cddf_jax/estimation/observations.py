@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -211,7 +211,9 @@ class _Linear(NamedTuple):
             return float(np.sum(np.log(grown) + pull / grown))  # no differences of large numbers
 
         largest = np.log(self.inputs.largest[name])
-        found = minimize_scalar(height, bounds=(largest - DECADES, largest), method="bounded", options={"xatol": 1e-6})
+        found: Any = minimize_scalar(
+            height, bounds=(largest - DECADES, largest), method="bounded", options={"xatol": 1e-6}
+        )
         return float(np.exp(found.x)) if found.fun < np.sum(pull) else 0.0
 
 

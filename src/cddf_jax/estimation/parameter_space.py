@@ -28,14 +28,7 @@ class Prior(NamedTuple):
     standard_deviation: float | Numbers
 
 
-class Uniform(NamedTuple):
-    """A uniform prior: the same as a lower and an upper bound."""
-
-    low: float
-    high: float
-
-
-Priors = Mapping[str, Prior | tuple[float, float] | Uniform]  # by parameter
+Priors = Mapping[str, Prior | tuple[float, float]]  # by parameter
 
 
 @dataclass(frozen=True)
@@ -68,22 +61,14 @@ def _known(kind: str, names: tuple[str, ...], given: Collection[str]) -> None:
             raise InputError(f"{kind} for {name!r}, which is not fitted; fitted are {', '.join(names)}")
 
 
-def bounds_of(
-    names: tuple[str, ...], start: np.ndarray, bounds: Bounds, priors: Priors
-) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper bounds in the order of the names, narrowed by uniform priors; infinite without a bound."""
+def bounds_of(names: tuple[str, ...], start: np.ndarray, bounds: Bounds) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper bounds in the order of the names; infinite without a bound."""
     _known("bounds", names, bounds)
     lower, upper = np.full(len(names), -np.inf), np.full(len(names), np.inf)
     for i, name in enumerate(names):
         low, high = bounds.get(name, (None, None))
         check_numbers(f"bounds for {name}", [low, high])
         lower[i], upper[i] = -np.inf if low is None else low, np.inf if high is None else high
-        if isinstance(prior := priors.get(name), Uniform):
-            if not prior.low < prior.high:
-                raise InputError(
-                    f"prior for {name}: {prior.low:g} to {prior.high:g} is not a range; give the lower number first"
-                )
-            lower[i], upper[i] = max(lower[i], prior.low), min(upper[i], prior.high)
         if not lower[i] < start[i] < upper[i]:
             raise InputError(
                 f"{name} starts at {start[i]:g}, which is not inside its bounds {lower[i]:g} to {upper[i]:g}; "
@@ -93,15 +78,13 @@ def bounds_of(
 
 
 def priors_of(names: tuple[str, ...], priors: Priors) -> dict[int, Prior]:
-    """The Gaussian priors, by the number of their parameter; uniform ones are bounds (`bounds_of`)."""
+    """The priors, by the number of their parameter."""
     _known("prior", names, priors)
     found = {}
     for name, prior in priors.items():
         check_numbers(f"prior for {name}", prior)
-        if isinstance(prior, Uniform):
-            continue
         if isinstance(prior, str) or np.shape(np.asarray(prior)) != (2,):
-            raise InputError(f"prior for {name}: needs (mean, standard deviation), SI, or Uniform, got {prior!r}")
+            raise InputError(f"prior for {name}: needs (mean, standard deviation), SI units, got {prior!r}")
         mean, deviation = prior
         if not (np.isfinite(mean) and np.isfinite(deviation) and deviation > 0):
             raise InputError(f"prior for {name}: needs a mean and a standard deviation > 0, got {mean}, {deviation}")

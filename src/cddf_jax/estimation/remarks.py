@@ -1,21 +1,19 @@
 """Remarks of a fit on its parameters and residuals."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import chdtrc, fdtrc, ndtr, stdtr
 
-from .evidence import Evidence, spectrum_of, without_nan
-from .levenberg_marquardt import MAX_STEPS, UNEXPLAINED, Minimum, minimise
+from .evidence import Evidence
+from .levenberg_marquardt import UNEXPLAINED, Minimum
 from .parameter_space import TINY
 
 if TYPE_CHECKING:
     from .least_squares import LeastSquaresFit
 
 OUTLIER_CHANCE = 0.01
-NOISE_ROUNDS = 20
 WITHIN = 3.0  # standard deviations: data farther away do not decide whether a model explains the others
 AS_GIVEN = 4.0  # mean square of residuals over the given noise, below which the noise explains them
 EXACT = 1e-7  # noise over data, below which it counts as 0
@@ -53,11 +51,11 @@ def remarks_on_residuals(fit: "LeastSquaresFit") -> list[str]:
     """Remarks on groups that are met exactly or hardly explained, outliers, noise with few degrees of freedom."""
     evidence, (problem, outcome) = fit.evidence, fit.minimum
     found, residuals, spectrum = [], problem.by_group(outcome.residual), evidence.spectrum
-    raw = problem.by_group(problem.unwhitened(outcome.residual))
+    unexplained = unexplained_groups(evidence, fit.minimum)
     for i, (name, rows) in enumerate(evidence.rows.items()):
         residual, values, noise = residuals[i], np.ravel(problem.data.values[i]), np.ravel(problem.data.noise[i])
         estimated = evidence.noise_estimated[name]
-        error, far = raw[i] * noise, None
+        far = _far_off(residual, spectrum.leverage(rows), estimated) if problem.loss == "linear" else None
         if estimated and np.max(noise) <= EXACT * np.max(np.abs(values), initial=0.0):
             found.append(
                 f"{name} is met exactly, its noise cannot be estimated: standard errors mean nothing; give the noise"
@@ -66,10 +64,7 @@ def remarks_on_residuals(fit: "LeastSquaresFit") -> list[str]:
         freedom = evidence.freedom_of(name)
         if estimated and freedom < FEW:
             found.append(f"the noise of {name} is estimated with only {freedom:.2g} degree(s) of freedom; measure more")
-        if problem.loss == "linear":
-            far = _far_off(residual, spectrum.leverage(rows), estimated)
-        of_one = far is not None and np.max(error**2) > 0.5 * np.sum(error**2)  # one outlier, and not the model
-        if values.size > 2 and np.std(error) > UNEXPLAINED * np.std(values) > 0 and not of_one:
+        if name in unexplained:
             found.append(
                 f"{name} is hardly explained at all, no better than by a constant; check its unit and sign, the model "
                 "and the start"
@@ -78,17 +73,13 @@ def remarks_on_residuals(fit: "LeastSquaresFit") -> list[str]:
             found += _uneven(name, residual, values) if estimated and np.ptp(noise) == 0 else []
             if far:
                 k, count = far
-                others = f" (and {count - 1} more are far off)" if count > 1 else ""
-                distance = _distance(fit.minimum, i, k, estimated)
-                number = f"{distance:.0f}" if distance >= 100 else f"{distance:.2g}"
-                how_far = f"{number} standard deviations" if np.isfinite(distance) else "far"
-                place = fit.place(name, k)
-                found.append(f"{place} lies {how_far} off the model{others}: check it, or use a robust loss")
+                others = f" (and {count - 1} more)" if count > 1 else ""
+                found.append(f"{fit.place(name, k)} lies far off the model{others}: check it, or use a robust loss")
     return found
 
 
-def unexplained_groups(evidence: Evidence, minimum: Minimum) -> list[str]:
-    """The groups that a model hardly explains, if they hold half of the data or more; else none.
+def unexplained_groups(evidence: Evidence, minimum: Minimum) -> dict[str, int]:
+    """The groups that a model hardly explains, and how many data each holds.
 
     The residuals of such a group keep more than `UNEXPLAINED` of its scatter: less than a fifth of the variance is
     explained. Repeats of one level, whose scatter is only noise, do not count as such a group: more than half of the
@@ -109,7 +100,7 @@ def unexplained_groups(evidence: Evidence, minimum: Minimum) -> list[str]:
         as_a_constant = np.mean(error**2) > UNEXPLAINED**2 * np.var(values)
         if as_a_constant and (2 * np.sum(error**2) > np.sum(values**2) or np.var(values + error) > np.var(values)):
             found[name] = values.size
-    return list(found) if 2 * sum(found.values()) >= problem.num_data else []
+    return found
 
 
 def chance_of_more(evidence: Evidence, residuals: Mapping[str, np.ndarray], name: str, columns: np.ndarray) -> float:
@@ -165,33 +156,3 @@ def _far_off(residual: np.ndarray, leverage: np.ndarray, estimated: bool) -> tup
         chance = 2 * stdtr(freedom - 1, -distance)
     far = np.flatnonzero(chance * residual.size < OUTLIER_CHANCE)
     return (int(far[np.argmax(distance[far])]), far.size) if far.size else None
-
-
-def _distance(minimum: Minimum, group: int, k: int, estimated: bool) -> float:
-    """The distance of one datum from the model fitted to all others, in standard deviations of their scatter.
-
-    It is the externally studentised residual (Cook and Weisberg 1982), by a refit: the outlier may have moved the model
-    so far that its linearisation does not hold.
-    """
-    problem, outcome = minimum
-    rows = problem.by_group(np.arange(problem.num_data))[group]
-    own, others = rows[k], np.delete(rows, k)
-    noise, times = list(problem.data.noise), list(problem.data.times)
-    times[group] = np.where(rows == own, 0.0, 1.0).reshape(np.shape(times[group]))
-    starts, distance = [outcome.z, problem.space.first()], np.inf  # the outlier may have led the search far away
-    for _ in range(NOISE_ROUNDS):
-        data = problem.data._replace(noise=tuple(noise), times=tuple(times))
-        without = replace(problem, data=data, max_steps=MAX_STEPS)
-        there = min((minimise(without, z) for z in starts), key=lambda end: np.nan_to_num(end.cost, nan=np.inf))
-        jacobian = without_nan(there.jacobian)
-        spectrum = spectrum_of(np.delete(jacobian, own, axis=0))
-        freedom = max(others.size - np.sum(spectrum.leverage(jacobian[others])), 1e-3)
-        scatter = float(np.sqrt(np.sum(there.residual[others] ** 2) / freedom)) if estimated else 1.0
-        if not scatter > 0:
-            return np.inf
-        ahead = float(spectrum.leverage(jacobian[[own]])[0])  # variance of what the others predict
-        distance = float(np.abs(there.residual[own]) / (scatter * np.sqrt(1 + ahead)))
-        if abs(scatter - 1) < 1e-3:
-            break
-        noise[group], starts = noise[group] * scatter, [there.z]
-    return distance

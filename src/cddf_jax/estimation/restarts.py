@@ -8,18 +8,9 @@ import numpy as np
 
 from ..progress import each, stage
 from .determination import NOT_IDENTIFIED
-from .levenberg_marquardt import UNEXPLAINED, WATCHED, Minimum, Outcome, Watch, minimise
+from .levenberg_marquardt import WATCHED, Outcome, Watch, minimise
 from .residuals import LeastSquaresProblem
-from .whole_search import (
-    BETTER_ELSEWHERE,
-    NO_NUMBER,
-    NOT_SETTLED,
-    STOPPED_SHORT,
-    Ending,
-    FitTask,
-    interrupted_at,
-    search_from,
-)
+from .whole_search import STOPPED_SHORT, Ending, FitTask, interrupted_at, search_from
 
 ROUNDS = (8, 8, 16)  # further searches; after each round the best one is judged
 DECADES = (1.0, 2.0, 3.0)  # powers of ten, up and down, over which the starts of each round spread
@@ -29,12 +20,6 @@ LOWER = 1e-3  # relative difference of costs from which one search is better
 ONE_DATUM = 0.99  # share of one datum in the squared derivatives, above which it counts as the only one
 EXACT = 1e-9  # a cost that is as good as 0: a residual of nothing but rounding
 LONGEST = 30.0  # s: searches from other starts that nobody asked for end then
-FAILURES = {
-    NO_NUMBER: "ended where the model gives no number",
-    STOPPED_SHORT: "stopped short of a minimum",
-    BETTER_ELSEWHERE: "ended beside a better minimum",
-    NOT_SETTLED: "did not settle",
-}
 
 
 class Searched(NamedTuple):
@@ -55,7 +40,7 @@ def search(task: FitTask, starts: int | None, seed: int) -> Searched:
     watch = Watch()
     before = WATCHED.set(watch)
     try:
-        return _search(task, starts, seed, watch)
+        return _search(task, seed, watch) if starts is None else _from_starts(task, starts, seed)
     except KeyboardInterrupt:
         best = watch.best(task.problem.data.noise)
         if best is None:
@@ -65,43 +50,47 @@ def search(task: FitTask, starts: int | None, seed: int) -> Searched:
         WATCHED.reset(before)
 
 
-def _search(task: FitTask, starts: int | None, seed: int, watch: Watch) -> Searched:
+def _from_starts(task: FitTask, starts: int, seed: int) -> Searched:
+    """As many searches as were asked for."""
     problem = task.problem
-    if starts is not None and starts > 1:
+    if starts > 1:
         found = [minimise(problem, problem.space.first()), *_elsewhere(problem, slice(0, starts - 1), seed)]
-        return Searched(search_from(task, min(found, key=_height).z), np.sort(_costs(found)))
+        return Searched(search_from(task, min(found, key=_height).z), np.sort([*map(_height, found)]))
+    only = search_from(task, problem.space.first())
+    cost = np.array([_cost(task, only)])
+    return Searched(only._replace(result=STOPPED_SHORT) if _ran_away(task, only) else only, cost)
+
+
+def _search(task: FitTask, seed: int, watch: Watch) -> Searched:
+    """One search, and others while the best one is in trouble."""
+    problem = task.problem
     ending = first = search_from(task, problem.space.first())
-    costs = np.array([_cost(task, first)])
-    if starts == 1:
-        return Searched(first._replace(result=STOPPED_SHORT) if _ran_away(task, first) else first, costs)
     reason = trouble(task, first)
     if not reason:
         return Searched(first, np.empty(0))
-    known, late = [] if first.lower is None else [minimise(problem, first.lower)], time.monotonic() + LONGEST
+    costs, late = [_cost(task, first)], time.monotonic() + LONGEST
     for last, count in zip(np.cumsum(ROUNDS), ROUNDS, strict=True):
         watch.deadline = late
-        found = [*known, *_elsewhere(problem, slice(last - count, last), seed, late)]
-        watch.deadline, is_late = np.inf, time.monotonic() > late
-        costs = np.append(costs, _costs(found))
-        if is_late:
+        found = _elsewhere(problem, slice(last - count, last), seed, late)
+        watch.deadline = np.inf
+        costs += map(_height, found)
+        ending = _better(task, ending, found)
+        alike = np.allclose([*map(_height, found)], _cost(task, ending), rtol=SAME, atol=EXACT)
+        if alike and ending is first and first.success:  # the data determine no more anywhere
+            return Searched(first, np.empty(0))
+        if time.monotonic() > late:
             reason += f" (other searches ended after {LONGEST:.0f} s; give starts to allow more)"
-            if Minimum(problem, min(found, key=_height)).misfit[0] > UNEXPLAINED:
-                break
-        ending, known = _better(task, ending, found), []
-        if _is_enough(task, ending, found):
-            if ending is first and ending.success:  # all have the same result: the data determine no more anywhere
-                return Searched(first, np.empty(0))
             break
-        if is_late:
+        if not trouble(task, ending):
             break
-    costs.sort()
+    costs = np.sort(costs)
     if ending is first:
         others = f"{len(costs) - 1} search{'es' * (len(costs) > 2)} from other starts"
-        remark = f"the search {reason}; {others} found nothing better"
-    else:
-        same = f"{np.sum(costs <= (1 + LOWER) * costs[0] + EXACT)} of {len(costs)} starts"
-        remark = f"the search from the given start {reason}; {same} led to the result, the best found"
-    return Searched(ending, costs, remark)
+        return Searched(first, costs, f"the search {reason}; {others} found nothing better")
+    same = f"{np.sum(costs <= (1 + LOWER) * costs[0] + EXACT)} of {len(costs)} starts"
+    return Searched(
+        ending, costs, f"the search from the given start {reason}; {same} led to the result, the best found"
+    )
 
 
 def _better(task: FitTask, ending: Ending, found: list[Outcome]) -> Ending:
@@ -113,31 +102,15 @@ def _better(task: FitTask, ending: Ending, found: list[Outcome]) -> Ending:
     return other if _height(best) < (1 - LOWER) * cost - EXACT or not trouble(task, other) else ending
 
 
-def _is_enough(task: FitTask, ending: Ending, found: list[Outcome]) -> bool:
-    """Whether all parameters are identified, or all searches of a round have the same cost, and not on a plateau."""
-    if NOT_IDENTIFIED not in ending.determination.status.values() and not trouble(task, ending):
-        return True
-    cost = _cost(task, ending)
-    alike = np.isfinite(cost) and np.allclose(_costs(found), cost, rtol=SAME, atol=EXACT)
-    problem, outcome = ending.minimum
-    raw = problem.by_group(problem.unwhitened(outcome.residual))
-    groups = zip(problem.data.values, problem.data.noise, raw, strict=True)
-    # on a plateau the residuals of some group scatter as much as the group itself
-    flat = any(np.std(r * np.ravel(s)) > UNEXPLAINED * np.std(v) > 0 for v, s, r in groups)
-    return bool(alike and not (flat and ending.determination.rank < len(problem.space.names)))
-
-
 def trouble(task: FitTask, ending: Ending) -> str:
     """Why searches from other starts are useful; "" if they are not.
 
-    The search failed: it reached no minimum, or one that hardly explains the data (`unexplained_groups`). Or the data
-    do not determine some parameters there, and one of these went far away from its start, or only one datum depends on
-    them, or the derivatives are singular and the data determine no combination of them.
+    The search failed. Or the data do not determine some parameters where it ended, and one of these went far away from
+    its start, or only one datum depends on them, or the derivatives are singular and the data determine no combination
+    of them.
     """
-    if ending.result in FAILURES:
-        return FAILURES[ending.result]
     if not ending.success:
-        return "hardly explained the data"
+        return f"failed ({ending.result.partition(';')[0]})"
     determination, evidence = ending.determination, ending.evidence
     lost = np.array([word == NOT_IDENTIFIED for word in determination.status.values()])
     lost[list(evidence.bounded_above)] = False
@@ -185,10 +158,6 @@ def _elsewhere(problem: LeastSquaresProblem, which: slice, seed: int, late: floa
 def _height(end: Outcome) -> float:
     """The cost, with the first guess of the noise; infinite if the model gives no number."""
     return float(end.cost) if np.isfinite(end.cost) else np.inf
-
-
-def _costs(found: list[Outcome]) -> np.ndarray:
-    return np.array([_height(end) for end in found])
 
 
 def _cost(task: FitTask, ending: Ending) -> float:

@@ -26,11 +26,7 @@ class Loss(NamedTuple):
         return float(np.sum(self.influence(residual) ** 2) / freedom), float(np.mean(self.slope(residual)))
 
 
-SOFT_L1, HUBER, CAUCHY = 1.2871, 1.3450, 2.3849
-
-
-def _soft_l1(r: Numbers) -> Numbers:
-    return r * jnp.sqrt(2 / (1 + jnp.sqrt(1 + (r / SOFT_L1) ** 2)))
+HUBER, CAUCHY = 1.3450, 2.3849
 
 
 def _huber(r: Numbers) -> Numbers:
@@ -47,11 +43,6 @@ def _cauchy(r: Numbers) -> Numbers:
 
 LOSSES = {
     "linear": Loss(lambda r: r, lambda r: r, np.ones_like),
-    "soft_l1": Loss(
-        _soft_l1,
-        lambda r: r / np.sqrt(1 + (r / SOFT_L1) ** 2),
-        lambda r: (1 + (r / SOFT_L1) ** 2) ** -1.5,
-    ),
     "huber": Loss(_huber, lambda r: np.clip(r, -HUBER, HUBER), lambda r: (np.abs(r) <= HUBER).astype(float)),
     "cauchy": Loss(
         _cauchy,

@@ -59,7 +59,6 @@ class Ending(NamedTuple):
     evidence: Evidence
     determination: Determination
     result: str
-    lower: np.ndarray | None  # z of a place nearby where the cost is lower
 
     @property
     def success(self) -> bool:
@@ -67,8 +66,11 @@ class Ending(NamedTuple):
         return self.result == SUCCESSFUL
 
 
-def search_from(task: FitTask, z: np.ndarray) -> Ending:
-    """Weights from residuals and residuals from weights, until they agree; then a look along the valleys."""
+def search_from(task: FitTask, z: np.ndarray, *, again: bool = True) -> Ending:
+    """Weights from residuals and residuals from weights, until they agree; then a look along the valleys.
+
+    If that look finds a lower place, the search goes on there, once.
+    """
     minimum, settled = _settle_noise(task, z)
     evidence = _evidence(task, minimum)
     stopped = is_steep(minimum, evidence)
@@ -77,6 +79,8 @@ def search_from(task: FitTask, z: np.ndarray) -> Ending:
         evidence = replace(_evidence(task, minimum), kink=kink)
     first, determination = evidence, determine(evidence)
     evidence, least_rise, lower = look_along_valleys(minimum, evidence, determination)
+    if again and not stopped and lower is not None and least_rise < -NOTEWORTHY_FALL:
+        return search_from(task, lower, again=False)
     result = _result(minimum, evidence, least_rise, settled=settled, stopped=stopped)
     if task.prefer_start and evidence.open_profile:
         minimum = minimum._replace(outcome=nearest_to_start(minimum, evidence))
@@ -89,13 +93,13 @@ def search_from(task: FitTask, z: np.ndarray) -> Ending:
     if result == SUCCESSFUL and not are_products(minimum, evidence, determination):
         evidence = replace(evidence, products=False)
         determination = determine(evidence)
-    return Ending(minimum, evidence, determination, result, lower)
+    return Ending(minimum, evidence, determination, result)
 
 
 def interrupted_at(task: FitTask, best: Minimum) -> Ending:
     """The ending of a search that was interrupted."""
     evidence = replace(_evidence(task, best), failed=True)
-    return Ending(best, evidence, determine(evidence), INTERRUPTED, None)
+    return Ending(best, evidence, determine(evidence), INTERRUPTED)
 
 
 def _settle_noise(task: FitTask, z: np.ndarray) -> tuple[Minimum, bool]:
@@ -174,7 +178,8 @@ def _result(minimum: Minimum, evidence: Evidence, least_rise: float, *, settled:
         return STOPPED_SHORT
     if least_rise < -NOTEWORTHY_FALL:
         return BETTER_ELSEWHERE
-    if unexplained := unexplained_groups(evidence, minimum):
+    unexplained = unexplained_groups(evidence, minimum)
+    if unexplained and 2 * sum(unexplained.values()) >= minimum.problem.num_data:
         return (
             f"hardly anything of {', '.join(unexplained)} is explained (less than a fifth of the variance); "
             "check units and signs, start closer, or search from more starts"
@@ -302,7 +307,10 @@ def are_products(minimum: Minimum, evidence: Evidence, determination: Determinat
 
 
 def nearest_to_start(minimum: Minimum, evidence: Evidence) -> Outcome:
-    """The place along the first open valley where its parameter has its start value, if it fits equally well."""
+    """The place along the first open valley where its parameter has its start value, if it fits equally well.
+
+    Noise makes shallow minima somewhere in the valley.
+    """
     problem, best = minimum
     i, first = evidence.open_profile[0], problem.space.first()
     (enough,) = closing_rise(evidence.uncertainty(np.eye(len(first))[[i]]))

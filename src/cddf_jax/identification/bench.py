@@ -32,7 +32,7 @@ from ..robot.validation import check_weight
 from ..statics.equilibrium import Equilibrium
 from ..statics.solve import solve
 from ..units import shown
-from .course import WITHOUT, Course, Shown
+from .course import WITHOUT, Course, Shown, tip_forces
 from .parameters import PARAMETERS, PLAIN, TRIALS, BenchSetting, Parameters, turn_of, with_deviation, with_parameters
 
 LANES = 128  # rows are solved in multiples of this number, so that tables and curves share compiled programs
@@ -374,7 +374,7 @@ def experiment_of(
                 f"the table gives the position of the marker {twice[0]!r} already; leave it out of the setting"
             )
         found = markers_of(columns, {**setting.markers, **table.markers}, float(np.asarray(manipulator.length)))
-        force = _tip_force(table)
+        force = tip_forces(table)
         bench = Bench(
             np.stack([table[column] for column in of_tendons("base_tension", manipulator.num_tendons)], axis=1),
             tuple(map(table.columns.get, of_tendons("direction", manipulator.num_tendons))),
@@ -444,10 +444,3 @@ def _observed(table: Measurements, num_tendons: int) -> list[str]:
         if numbered and tendon_number(column) > num_tendons:
             raise InputError(f"column {column!r}, but the manipulator has {num_tendons} tendon(s)")
     return columns
-
-
-def _tip_force(table: Measurements) -> Float[np.ndarray, "rows components"]:
-    """The tip forces, N; with three components where there is a column of the third."""
-    none = np.zeros(len(table))
-    axes = "xyz" if "tip_force_z" in table else "xy"
-    return np.stack([table.columns.get(f"tip_force_{axis}", none) for axis in axes], axis=1)

@@ -1,6 +1,6 @@
 """The frame in which a camera sees tip and markers: where the search for its pose starts, and when it must be wrong."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -8,8 +8,6 @@ import numpy as np
 from ..errors import InputError
 from ..estimation.least_squares import LeastSquaresFit
 from ..estimation.levenberg_marquardt import UNEXPLAINED
-from ..estimation.observations import Noise
-from ..estimation.parameter_space import Bounds
 from ..measurements.markers import registered
 from ..robot.manipulator import Manipulator
 from .bench import Bench, BenchModel, Group
@@ -22,7 +20,6 @@ FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)  # of the stiffness at the start, for which
 LEAST_POINTS = 3  # to find a pose
 SPARE = 0.1  # of a length: it may be measured badly, and what is tracked may sit beyond the tip
 STRETCHED = 2.0  # times the length, which a body that stretches does not reach
-SURE = 6.0  # standard deviations of the noise
 MOST = 0.5  # of the rows; with more out of reach, the frame is unknown
 
 
@@ -54,47 +51,37 @@ def _points(groups: Sequence[Group]) -> Iterator[Tracked]:
 
 
 def check_reach(
-    model: BenchModel,
-    groups: Sequence[Group],
-    start: Mapping[str, float],
-    given: Mapping[str, float],
-    bounds: Bounds,
-    noise: Mapping[str, object],
-    *,
-    outliers: bool,
+    model: BenchModel, groups: Sequence[Group], free: Collection[str], given: Mapping[str, float], *, outliers: bool
 ) -> None:
-    """Refuse positions that are farther from the base than the body is long, whatever the parameters are.
+    """Refuse positions that are farther from the base than the body is long.
 
     Args:
         model, groups: the bench and its data.
-        start: the parameters that are fitted.
+        free: the parameters that are fitted; along an axis in which the camera is free, the base may be anywhere.
         given: known parameters.
-        bounds: of the fitted parameters.
-        noise: by label of a group.
         outliers: whether single rows may be out of reach.
 
     Raises:
         InputError: names table, row and remedy.
     """
-    body, longest = model.manipulator, float(np.asarray(model.manipulator.length))
-    if "length" in start:
-        longest = bounds.get("length", (None, None))[1] or np.inf
+    body, length = model.manipulator, float(np.asarray(model.manipulator.length))
     spare = STRETCHED if body.extensible else 1 + SPARE
-    for point in _points(groups):
-        reach = spare * (point.reach if np.isfinite(point.reach) and "length" not in start else longest)
+    for point in _points(groups) if "length" not in free else ():
+        reach = spare * (point.reach if np.isfinite(point.reach) else length)
         table = next(iter(point.axes.values())).table
-        gaps = [_gap(axis, group, start, given, bounds, noise) for axis, group in point.axes.items()]
-        distance = np.linalg.norm(gaps, axis=0)
+        base = {axis: given.get(f"{CAMERA}_{axis}", 0.0) for axis in point.axes if f"{CAMERA}_{axis}" not in free}
+        away = [np.nan_to_num(table[point.axes[axis].column] - place) for axis, place in base.items()]
+        distance = np.linalg.norm(np.reshape(away, (-1, len(table))), axis=0)
         far = np.flatnonzero(distance > reach)
         if not len(far) or (outliers and len(far) <= MOST * len(table)):
             continue
         i = int(far[0])
         single = "" if len(far) > MOST * len(table) else "leave the row out (leave_out, --leave-out), "
         raise InputError(
-            f"{point.what} is {1e3 * distance[i]:.0f} mm or more from the base, but a body of {1e3 * longest:.0f} mm "
+            f"{point.what} is {1e3 * distance[i]:.0f} mm or more from the base, but a body of {1e3 * length:.0f} mm "
             f"reaches {1e3 * reach:.0f} mm ({len(far)} of {len(table)} rows)",
             where=(f"{table.name}", f"{table.place(i)}, {', '.join(group.column for group in point.axes.values())}"),
-            remedy=f"check the unit, {single}or {_with_pose(start)}",
+            remedy=f"check the unit, {single}or {_with_pose(free)}",
         )
 
 
@@ -127,31 +114,6 @@ def unexplained_pose(statistics: LeastSquaresFit, groups: Sequence[Group], manip
                 "axis, and check the order and the units of the columns"
             )
     return ""
-
-
-def _gap(
-    axis: str,
-    group: Group,
-    start: Mapping[str, float],
-    given: Mapping[str, float],
-    bounds: Bounds,
-    noise: Mapping[str, object],
-) -> np.ndarray:
-    """(rows,), the least distance along an axis of the camera from the base to the reading, m; 0 where none was read.
-
-    The base is anywhere within the bounds of a camera that is fitted.
-    """
-    name = f"{CAMERA}_{axis}"
-    low, high = bounds.get(name, (None, None)) if name in start else (given.get(name, 0.0),) * 2
-    low, high = -np.inf if low is None else low, np.inf if high is None else high
-    read = group.table[group.column]
-    sigma = noise.get(group.label)
-    if isinstance(sigma, Noise):
-        sigma = np.hypot(sigma.floor or 0.0, (sigma.fraction or 0.0) * group.observed)
-    found = np.zeros(len(read))
-    own = np.maximum(group.observed - high, low - group.observed) - SURE * np.asarray(0.0 if sigma is None else sigma)
-    found[group.there] = np.maximum(own, 0.0)
-    return found
 
 
 # --- where the search starts -----------------------------------------------------------------------

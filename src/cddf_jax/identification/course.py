@@ -23,7 +23,7 @@ from ..measurements.table import Measurements
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from .parameters import with_deviation
-from .tension_before import REST, Before, Past, Start, past_of, starts_of
+from .tension_before import REST, Past, Start, past_of
 
 STEPS = 16  # paths are traced in multiples of this number, so that tables share compiled programs
 FEW_STEPS = 4  # the same for paths that are followed in short steps
@@ -33,7 +33,7 @@ CELLS = 2  # number of cells over number of nodes
 WITHOUT = "give history=False (--no-history), which lets each tendon slide one way in each row"
 
 
-LoadsWith = Callable[[Float[Array, "*steps 2"] | None], Loads | None]
+LoadsWith = Callable[[Float[Array, "*steps components"] | None], Loads | None]
 MarkersOn = Callable[[History], Float[Array, "steps markers components"] | None]
 
 
@@ -54,21 +54,20 @@ class Course(eqx.Module):
     One tendon without loads has an exact answer. Others are followed in short steps.
     """
 
-    readings: Float[np.ndarray | Array, "trials steps *tendons"]  # N, as read, without jitter; the last one is repeated
+    readings: Float[np.ndarray | Array, "trials steps tendons"]  # N, as read, without jitter; the last one is repeated
     trial: Int[np.ndarray | Array, " rows"]  # 0, 1, ... in the order of the paths
     step: Int[np.ndarray | Array, " rows"]
     first_row: Int[np.ndarray | Array, " trials"]  # a row of each trial
     max_turns: int = eqx.field(static=True)
     past: Past | None = None  # None: all trials start from rest
-    tip_force: Float[np.ndarray | Array, "trials steps 2"] | None = None  # N
+    tip_force: Float[np.ndarray | Array, "trials steps components"] | None = None  # N
     force_stays: bool = eqx.field(default=False, static=True)  # whether it is constant, and acts before the first step
     short_steps: int | None = eqx.field(default=None, static=True)  # of each step; None where the answer is exact
 
     @property
     def _falls(self) -> np.ndarray:
         """(trials, steps - 1), whether any base tension falls."""
-        falls = np.diff(np.asarray(self.readings), axis=1) < 0
-        return np.any(falls, axis=2) if falls.ndim == 3 else falls
+        return np.any(np.diff(np.asarray(self.readings), axis=1) < 0, axis=2)
 
     @property
     def turns(self) -> bool:
@@ -82,7 +81,7 @@ class Course(eqx.Module):
         At most `MOST_REMEMBERED`, those next to the largest moves.
         """
         found = []
-        for path in np.asarray(self.readings).reshape(*np.shape(self.readings)[:2], -1):
+        for path in np.asarray(self.readings):
             move = np.diff(path, axis=0, prepend=path[:1] if self.past is not None else 0 * path[:1])
             turns = np.zeros(len(path), bool)
             turns[0] = self.past is not None
@@ -97,10 +96,10 @@ class Course(eqx.Module):
 
     @property
     def along(self) -> np.ndarray:
-        """(directions, trials, steps, *tendons), changes of the readings: for each tendon of all steps but the turns,
+        """(directions, trials, steps, tendons), changes of the readings: for each tendon of all steps but the turns,
         then of the first turn of each trial, the second, and so on.
         """
-        turns, shape = self.turn_steps, (*np.shape(self.readings)[:2], int(np.prod(np.shape(self.readings)[2:])))
+        turns, shape = self.turn_steps, np.shape(self.readings)
         most = max(map(len, turns))
         most += -most % FEW_STEPS
         found = np.zeros((1 + most, shape[2], *shape))
@@ -109,12 +108,11 @@ class Course(eqx.Module):
             for trial, steps in enumerate(turns):
                 found[0, tendon, trial, steps, tendon] = 0.0
                 found[1 + np.arange(len(steps)), tendon, trial, steps, tendon] = 1.0
-        return found.reshape(-1, *np.shape(self.readings))
+        return found.reshape(-1, *shape)
 
     def path(self, parameters: Mapping[str, ArrayLike]) -> Float[Array, "trials path tendons"]:
         """The readings of the base tension, N; with a past, its tensions come first."""
         readings = jnp.asarray(self.readings)
-        readings = readings[..., None] if readings.ndim == 2 else readings
         if self.past is None:
             return readings
         return jnp.concatenate([self.past.tension(parameters)[:, None], readings], axis=1)
@@ -122,7 +120,7 @@ class Course(eqx.Module):
     @property
     def pulled(self) -> np.ndarray:
         """(rows,), whether the tension of tendon 1 rose towards the row."""
-        readings = np.asarray(self.readings).reshape(*np.shape(self.readings)[:2], -1)[..., 0]
+        readings = np.asarray(self.readings)[..., 0]
         stated = np.zeros(len(readings)) if self.past is None else np.asarray(self.past.stated)[:, 0]
         released = [bool(names[0]) for names in self.past.parameters] if self.past is not None else False
         first = (readings[:, 0] >= stated) & ~np.array(released)
@@ -187,76 +185,49 @@ class Course(eqx.Module):
         return tips.tension, tips.heading, tips.position, status_of_tips(tips), None
 
 
-def course_along(
-    path: Float[np.ndarray, "steps tendons"],
-    tip_force: Float[np.ndarray, "steps 2"],
-    before: Before = REST,
-    short_steps: int = SHORT_STEPS,
-    *,
-    loaded: bool = False,
-) -> Course:
-    """The course of one path, every step of which is a row.
-
-    Args:
-        path: base tensions as read, N.
-        tip_force: N.
-        before: the tensions before the first step, as in `fit`.
-        short_steps: into how many short steps each step is divided where the answer is not exact.
-        loaded: whether there are loads besides the tip forces, which are the same in all rows.
-
-    Raises:
-        InputError: where `before` is below the first step of a single tendon, or is not one of this body.
-    """
-    exact = path.shape[1] == 1 and not np.any(tip_force) and not loaded
-    past = past_of(starts_of([1], before, (), path.shape[1])[0], path[:1], ["step 1"])
-    step = np.arange(len(path))
-    rows = np.zeros_like(step), step, np.zeros(1, int)
-    if exact:
-        return _course([path[:, 0]], *rows, past)
-    return _stepped_course([path], [tip_force], *rows, past, short_steps)
-
-
 def between(course: Course, points: int) -> tuple[Course, list[np.ndarray]]:
     """The same paths with `points` points along each, every point a row, trial by trial; and these paths, N."""
-    paths, readings = [], np.asarray(course.readings)
+    paths, readings = [], np.asarray(course.readings)[..., 0]
     for k in range(len(readings)):
         steps = np.arange(np.max(np.asarray(course.step)[np.asarray(course.trial) == k]) + 1)
         places = np.union1d(np.linspace(0, steps[-1], points), steps)
         paths.append(np.interp(places, steps, readings[k, : steps.size]))
     sizes = [path.size for path in paths]
     trial, step = np.repeat(np.arange(len(paths)), sizes), np.concatenate([*map(np.arange, sizes)])
-    return _course(paths, trial, step, np.cumsum([0, *sizes[:-1]]), course.past), paths
+    first_row = np.cumsum([0, *sizes[:-1]])
+    columns = [path[:, None] for path in paths]
+    return _course(columns, [0 * path for path in columns], trial, step, first_row, course.past, None), paths
 
 
 def _course(
-    paths: Sequence[np.ndarray], trial: np.ndarray, step: np.ndarray, first_row: np.ndarray, past: Past | None
-) -> Course:
-    longest = max(map(len, paths))
-    longest += -longest % STEPS
-    readings = np.stack([np.pad(path, (0, longest - len(path)), mode="edge") for path in paths])
-    above = [] if past is None else [2 * max(np.max(readings), np.max(np.asarray(past.stated)), 1.0)]
-    most = max(_most_open(np.append(above, path)) for path in paths)
-    return Course(readings, trial, step, first_row, most, past)
-
-
-def _stepped_course(
     paths: Sequence[np.ndarray],
     forces: Sequence[np.ndarray],
     trial: np.ndarray,
     step: np.ndarray,
     first_row: np.ndarray,
     past: Past | None,
-    short_steps: int,
+    short_steps: int | None,
 ) -> Course:
+    """From the tensions and forces of each path, (steps, tendons) and (steps, components)."""
     longest = max(map(len, paths))
-    longest += -longest % FEW_STEPS
+    longest += -longest % (STEPS if short_steps is None else FEW_STEPS)
     readings, force = (
         np.stack([np.pad(each, ((0, longest - len(each)), (0, 0)), mode="edge") for each in every])
         for every in (paths, forces)
     )
-    stays = bool(np.all(force == force[:, :1]))
-    tip_force = force if np.any(force) else None
-    return Course(readings, trial, step, first_row, 0, past, tip_force, stays and tip_force is not None, short_steps)
+    most, tip_force = 0, force if np.any(force) else None
+    if short_steps is None:
+        above = [] if past is None else [2 * max(np.max(readings), np.max(np.asarray(past.stated)), 1.0)]
+        most = max(_most_open(np.append(above, path)) for path in paths)
+    stays = bool(np.all(force == force[:, :1])) and tip_force is not None
+    return Course(readings, trial, step, first_row, most, past, tip_force, stays, short_steps)
+
+
+def tip_forces(table: Measurements) -> Float[np.ndarray, "rows components"]:
+    """The tip forces, N; with three components where there is a column of the third."""
+    none = np.zeros(len(table))
+    axes = "xyz" if "tip_force_z" in table else "xy"
+    return np.stack([table.columns.get(f"tip_force_{axis}", none) for axis in axes], axis=1)
 
 
 def has_history(table: Measurements, history: bool | None) -> bool:
@@ -301,9 +272,8 @@ def course_of(
         InputError: for a column `direction` of a single tendon that contradicts the order of the rows, a largest
             tension before a trial that is below that of its first row, or a past of another number of tendons.
     """
-    rows = len(table)
+    rows, force = len(table), tip_forces(table)
     pulled = [column for column in table.columns if column.startswith("base_tension")]
-    force = np.stack([table.columns.get(f"tip_force_{axis}", np.zeros(rows)) for axis in "xy"], axis=1)
     exact = len(pulled) == 1 and not np.any(force) and not loaded
     trial, step, tension = np.zeros(rows, int), np.zeros(rows, int), np.zeros(rows)
     paths, forces, found, first = [], [], [], []
@@ -316,7 +286,7 @@ def course_of(
             "of base tensions; give one tension for each column"
         )
     for own, start in zip(table.trials, starts, strict=True):
-        steadied = [_of_table(without_jitter(table[column][own], known.get(column, common)), own) for column in pulled]
+        steadied = [without_jitter(table[column][own], known.get(column, common)) for column in pulled]
         if exact:
             _check_directions(table, own, steadied[0], start)
         given = np.stack([*(steady.tension for steady in steadied), *force[own].T], axis=1)
@@ -329,29 +299,9 @@ def course_of(
     places = [f"{table.name}: {table.place(int(row))}" for row in first]
     past = past_of(starts, np.array([path[0] for path in paths]), places)
     of_rows = trial, step, np.array(first)
-    if exact:
-        course = _course([path[:, 0] for path in paths], *of_rows, past)
-    else:
-        course = _stepped_course(paths, forces, *of_rows, past, short_steps)
-    return course, _together(found, tension)
-
-
-def _together(found: list[Steady], tension: np.ndarray) -> Steady:
-    """The base tensions of the table, with the noise and the ignored turns of all trials."""
-    largest = max(found, key=lambda steady: steady.noise)
-    ignored, merged = (
-        sum(steady.num_ignored for steady in found),
-        (level for steady in found for level in steady.merged),
-    )
-    return largest._replace(tension=tension, num_ignored=ignored, merged=tuple(merged))
-
-
-def _of_table(steady: Steady, rows: np.ndarray) -> Steady:
-    """The same with the levels by the rows of the table, from 0."""
-    own = rows.tolist()
-    return steady._replace(
-        merged=tuple(run._replace(first=own[run.first], last=own[run.last]) for run in steady.merged)
-    )
+    course = _course(paths, forces, *of_rows, past, None if exact else short_steps)
+    noisiest = max(found, key=lambda steady: steady.noise)
+    return course, noisiest._replace(tension=tension, num_ignored=sum(steady.num_ignored for steady in found))
 
 
 def _check_directions(table: Measurements, rows: np.ndarray, steady: Steady, start: Start) -> None:

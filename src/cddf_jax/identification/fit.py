@@ -1,8 +1,9 @@
 """`fit`: friction, modulus and the errors of the bench from measurements; and what the data do not determine."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 from jaxtyping import ArrayLike
@@ -14,7 +15,7 @@ from ..estimation.observations import Noise
 from ..estimation.parameter_space import Bounds, Priors
 from ..measurements.holds import SerialCorrelation, holds_of, serial_correlation
 from ..measurements.jitter import Steady
-from ..measurements.left_out import CONTRADICTED, LeaveOut, LeftOut, named_rows, without, without_contradicted
+from ..measurements.left_out import CONTRADICTED, LeaveOut, LeftOut, named_rows, without
 from ..measurements.markers import marker_column
 from ..measurements.table import Measurements
 from ..numerics.given_numbers import check_numbers
@@ -23,7 +24,6 @@ from ..statics.arguments import refuse_batch
 from . import bench
 from .camera import camera_start, check_reach, unexplained_pose
 from .course import SHORT_STEPS, Course, course_of, has_history
-from .order_checks import order_remarks
 from .parameters import (
     PLAIN,
     TRIALS,
@@ -38,16 +38,10 @@ from .parameters import (
 from .predictions import Numbers, Prediction, beyond_the_data, moved_by_finer_steps, predicted_rows
 from .random_effects import errors_of_base, fit_trials
 from .tension_before import Before, first_guesses, starts_of
-from .verdict import AGAINST, SolveResults, doubt, estimates_in_words, fit_warnings, solve_results, verdict_of
+from .verdict import AGAINST, SolveResults, doubt, drift_of, fit_warnings, solve_results, verdict_of
 
 POSITIVE = (0.0, None)
-
-
-class Alone(Determination):
-    """What one table alone would determine."""
-
-    def __str__(self) -> str:
-        return "\n".join(estimates_in_words(self))
+ROUNDS = 5  # of fits, each without the rows that the fits before contradict
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,8 +74,7 @@ class Fit(LeastSquaresFit):
         """What each table alone, without priors, would determine."""
         labels = {name: [g.label for g in self.groups if g.name == name] for name in self.model.names}
         trials = [name for name in self.evidence.space.names if name.startswith(TRIALS)]
-        found = {name: self.determined_by(*of, with_priors_of=trials) for name, of in labels.items()}
-        return {name: Alone(**vars(determination)) for name, determination in found.items()}
+        return {name: self.determined_by(*of, with_priors_of=trials) for name, of in labels.items()}
 
     @property
     def groups(self) -> list[bench.Group]:
@@ -120,7 +113,6 @@ class Fit(LeastSquaresFit):
         column: str,
         base_tension: Numbers,
         tip_force: Numbers = (0.0, 0.0),
-        direction: Numbers | None = None,
         *,
         history: bool = False,
         before: Before = "rest",
@@ -132,9 +124,8 @@ class Fit(LeastSquaresFit):
                 column of a marker of the data, "x@120mm".
             base_tension: N, (rows,) where every tendon has the same tension, or (rows, tendons).
             tip_force: N, (2,) or (rows, 2), of a body in space (3,) or (rows, 3).
-            direction: 1 where tendons slide in and -1 where they slide out, broadcast to (rows, tendons); None where
-                it is to be found, as in `solve`.
-            history: whether the base tensions are a path, pulled and released in this order; every turn counts.
+            history: whether the base tensions are a path, pulled and released in this order; every turn counts. Else
+                each row is an equilibrium of its own, with the directions that `solve` finds.
             before: with a history, the tensions before the first row: "rest", or base tensions, N, as in `fit`.
 
         Raises:
@@ -142,7 +133,7 @@ class Fit(LeastSquaresFit):
         """
         tendons, setting = self.manipulator.num_tendons, self._setting(column)
         followed = {"history": history, "before": before, "short_steps": self._short_steps}
-        wanted = predicted_rows(base_tension, tip_force, direction, tendons, setting, **followed)
+        wanted = predicted_rows(base_tension, tip_force, tendons, setting, **followed)
         wanted.check_course(self.model.manipulator)
         shown = wanted.evaluate(self.model.manipulator, self.parameters, self.model.nodes)
         if column not in shown.readings:
@@ -177,14 +168,10 @@ class Fit(LeastSquaresFit):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """The remarks of any fit; samples of a hold that are not independent; readings that contradict their order."""
-        alike = ((label, one.remark) for label, one in self.serial_correlation.items())
-        of_order = self._order_remarks if self.success else ()
-        return (*super().remarks, *(f"{label}: {remark}" for label, remark in alike if remark), *of_order)
-
-    @cached_property
-    def _order_remarks(self) -> tuple[str, ...]:
-        return tuple(order_remarks(self))
+        """The remarks of any fit; samples of a hold that are not independent; readings with a history that drift."""
+        alike = (f"{label}: {one.remark}" for label, one in self.serial_correlation.items() if one.remark)
+        drifts = (drift_of(self, group) for group in self.groups if self.success)
+        return (*super().remarks, *alike, *filter(None, drifts))
 
     @property
     def serial_correlation(self) -> dict[str, SerialCorrelation]:
@@ -266,7 +253,7 @@ def fit(
             priors. With a history it may be `before` (`before_2` for trial 2), the largest base tension before the
             first row, N; of several tendons that of tendon 1 before it, and `before_tendon_2` (`before_tendon_2_3` for
             trial 3).
-        priors: by parameter, mean and standard deviation of a Gaussian, SI units, or `Uniform(low, high)`.
+        priors: by parameter, mean and standard deviation of a Gaussian, SI units.
         bounds: by parameter, (lower, upper), SI units; default (0, None) for what is positive.
         noise: by column, known standard deviation, SI units, a number or one per row, or `Noise(floor, fraction)`;
             what is not given is estimated, for each column of each table, from the residuals. That of `base_tension`
@@ -302,10 +289,13 @@ def fit(
         free = free_parameters(manipulator, free)
     if not all(isinstance(table, Measurements) for table in tables):
         raise InputError("fit: data must be tables as read_measurements gives them, one or several")
+    given: dict[str, Any] = {
+        **{"priors": priors or {}, "bounds": bounds or {}, "noise": noise or {}, "setting": setting, "nodes": nodes},
+        **{"history": history, "before": before, "short_steps": short_steps, "per_trial": per_trial, "loss": loss},
+        **{"starts": starts, "seed": seed},
+    }
     if isinstance(leave_out, str) and leave_out.strip() == CONTRADICTED:
-        once = partial(fit, manipulator, free=free, priors=priors, bounds=bounds, noise=noise, setting=setting)
-        once = partial(once, history=history, before=before, short_steps=short_steps, per_trial=per_trial, loss=loss)
-        return without_contradicted(partial(once, starts=starts, seed=seed, nodes=nodes), tables)
+        return _without_contradicted(partial(fit, manipulator, tables, free, **given))
     with within("fit"):
         tables, left_out = without(tables, leave_out)
     own = [tendon.friction_coefficient is not None for tendon in manipulator.tendons]
@@ -315,12 +305,7 @@ def fit(
         raise InputError(f"fit: short_steps must be a whole number of 2 or more, got {short_steps!r}")
     if not tables or not free:
         raise InputError("fit: needs a table of measurements and a free parameter")
-    options: dict[str, object] = {
-        **{"free": list(free), "priors": priors or {}, "bounds": bounds or {}, "noise": noise or {}},
-        **{"setting": setting.as_dict(), "history": history, "before": before, "short_steps": short_steps},
-        **{"leave_out": left_out, "per_trial": per_trial, "loss": loss, "starts": starts, "seed": seed},
-        **{"nodes": nodes},
-    }
+    options = given | {"free": list(free), "setting": setting.as_dict(), "leave_out": left_out}
     kinds = {name: parameter_named(name) for name in free}
     earlier = np.cumsum([0, *(len(_trials(table)) for table in tables)])
     with within("fit"):
@@ -344,7 +329,7 @@ def fit(
     bounds = own_bounds | {name: (low, None) for name, (_, low) in guesses.items()} | dict(bounds or {})
     sigma = noise_of(groups, noise)
     with within("fit"):
-        check_reach(model, groups, start, setting.given, bounds, sigma, outliers=loss != "linear")
+        check_reach(model, groups, free, setting.given, outliers=loss != "linear")
     pose = camera_parameters(manipulator)
     if set(pose) <= set(free) and not any(name in setting.given or name in bounds for name in pose):
         start |= camera_start(model, groups, start)
@@ -360,6 +345,17 @@ def fit(
         raise InputError(f"fit: per_trial {remedy}")
     statistics, spread = fit_trials(search, int(earlier[-1]), start, priors or {}, scales, starts)
     return _conclude(statistics, tables, model, setting, without_jitter, spread, left_out, options)
+
+
+def _without_contradicted(once: Callable[..., Fit]) -> Fit:
+    """Fit, leave out the rows that the fit contradicts, and fit again, until it contradicts none."""
+    found, left = once(leave_out={}), LeftOut()
+    for _ in range(ROUNDS):
+        if not (more := found.contradicted):
+            break
+        left = {file: left.get(file, []) + more.get(file, []) for file in {**left, **more}}
+        found = once(leave_out=left)
+    return found
 
 
 def _courses(
@@ -382,8 +378,8 @@ def _courses(
         course_of(table, noise, starts, short_steps, loaded=loaded) if on else None for table, on, starts in of_tables
     ]
     known = [(own, course[0]) for own, course in zip(starts, courses, strict=True) if course]
-    first = [(own, np.asarray(course.readings)[:, 0].reshape(len(own), -1)) for own, course in known]
-    return courses, first_guesses(manipulator, first)
+    first = [(own, np.asarray(course.readings)[:, 0]) for own, course in known]
+    return courses, first_guesses(first)
 
 
 def _split(

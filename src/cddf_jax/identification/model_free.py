@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtr, stdtr, stdtrit
+from scipy.special import stdtr, stdtrit
 
 from ..errors import InputError
-from ..measurements.branches import branches
+from ..measurements.jitter import without_jitter
 from ..measurements.table import Measurements
 from ..measurements.table_warnings import ONE_LEVEL
 
@@ -28,7 +28,6 @@ ROUNDS = 20  # at most, to find the rows of a loop in which the whole tendon sli
 LEAST_ROWS = 2  # of a loop, on either branch
 LEAST_SLACK = 0.1  # of 1/T_base: the smallest 1/T_tip during the search for gain and loss
 SIGNIFICANT = 0.05  # smaller p-values are reported
-LARGEST_Z = 3.0  # larger disagreements are reported, or as unlikely ones where few rows or trials give the errors
 SMALLEST_ANGLE = 1e-9  # rad; a smaller angle counts as 0
 LEAST_LEFT = 1e-6  # of the determinant of all rows, without one label; with less the noise cannot be estimated
 FEWEST_TRIALS = 3  # with fewer, the scatter of trials is not estimated
@@ -53,13 +52,6 @@ class Constancy(NamedTuple):
             f"It drifts with base tension by more than chance ({numbers}): check the zeros of load cells "
             "and camera, and whether the tendon runs at a constant offset; one coefficient may not describe these rows."
         )
-
-
-class Disagreement(NamedTuple):
-    """A fitted mu compared with the one without a model."""
-
-    z: float  # their difference over its standard error; positive where the fit is larger
-    sentence: str  # empty where a |z| of this size is as likely as one of 3 or less of a normal distribution
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -156,37 +148,6 @@ def model_free_friction(table: Measurements, *, in_order: bool | None = None) ->
     )
 
 
-def disagreement(
-    model_free: ModelFreeFriction, fit_value: float, fit_standard_error: float, fit_freedom: float
-) -> Disagreement:
-    """How far a fitted mu lies from the one without a model, in standard errors of their difference.
-
-    Its limit is that of Welch's t test: few rows or trials do not tell their own scatter well.
-
-    The two values are treated as independent, which they are if the fit is of a pulley test. From the same rows their
-    errors are alike, and the true |z| is larger than the one returned; so a disagreement that is found is real.
-
-    Args:
-        model_free: of `model_free_friction`.
-        fit_value: the friction coefficient of a fit.
-        fit_standard_error: its standard error; inf where it is not identified, then z is 0.
-        fit_freedom: the degrees of freedom of that error; inf where the noise was given.
-    """
-    difference = fit_value - model_free.value
-    error = float(np.hypot(model_free.standard_error, fit_standard_error))
-    z = difference / error if error > 0 else float(np.copysign(np.inf, difference)) if difference else 0.0
-    parts = np.array([model_free.standard_error, fit_standard_error]) / error if 0 < error < np.inf else np.zeros(2)
-    uncertain = float(np.sum(parts**4 / [model_free.degrees_of_freedom, fit_freedom]))
-    if not abs(z) > (-stdtrit(1 / uncertain, ndtr(-LARGEST_Z)) if uncertain > 0 else LARGEST_Z):
-        return Disagreement(z, "")
-    return Disagreement(
-        z,
-        f"the fit says friction_coefficient = {fit_value:.4g} +- {fit_standard_error:.2g}, tensions and tip angles "
-        f"alone {model_free.value:.4g} +- {model_free.standard_error:.2g}: {abs(z):.1f} standard errors apart; check "
-        "kinematics (exact for a real body), the offset of the tendon, and the zeros of load cells and camera",
-    )
-
-
 def independent_labels(table: Measurements, usable: np.ndarray) -> np.ndarray:
     """Labels 0, 1, ... of groups with independent errors: the trials if there are enough of them, else the rows."""
     trials = table["trial"][usable] if "trial" in table else np.empty(0)
@@ -232,6 +193,21 @@ def jackknife(columns: np.ndarray, residual: np.ndarray, labels: np.ndarray) -> 
 
 
 # --- loops ----------------------------------------------------------------------------------------
+
+
+def branches(table: Measurements) -> np.ndarray:
+    """(rows,), 1 where the base tension is the largest of its trial so far, -1 where it is the smallest since the turn.
+
+    0 where it is neither: within a smaller loop, or pulled again. Jitter of the cell is ignored.
+    """
+    found = np.zeros(len(table))
+    for rows in table.trials:
+        tension = without_jitter(table["base_tension"][rows]).tension
+        behind = np.arange(rows.size) > np.flatnonzero(tension == np.max(tension))[-1]
+        up = ~behind & (tension >= np.maximum.accumulate(tension))
+        back = behind & (tension <= np.minimum.accumulate(np.where(behind, tension, np.inf)))
+        found[rows] = np.where(up, 1.0, np.where(back, -1.0, 0.0))
+    return found
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

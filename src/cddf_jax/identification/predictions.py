@@ -1,7 +1,6 @@
 """Predictions of a fitted model: at given base tensions and tip forces, and for the rows of its tables.
 
-Also: which predictions lie beyond the data, how far finer steps along a history would move the estimates, and whether
-residuals have a normal distribution.
+Also: which predictions lie beyond the data, and how far finer steps along a history would move the estimates.
 """
 
 from collections.abc import Sequence
@@ -14,19 +13,20 @@ from jaxtyping import ArrayLike
 
 from ..errors import InputError, within
 from ..estimation.determination import AT_BOUND, NOT_IDENTIFIED
+from ..measurements.readings import of_tendons
+from ..measurements.table import Measurements
 from ..mechanics.capstan import pulling_tension
 from ..numerics.arrays import evaluated
 from ..numerics.given_numbers import check_numbers
 from .bench import AllRows, Bench, BenchModel, Group
-from .course import SHORT_STEPS, between, course_along
+from .course import SHORT_STEPS, between, course_of
 from .parameters import TRIALS
-from .tension_before import REST, Before
+from .tension_before import REST, Before, starts_of
 
 if TYPE_CHECKING:
     from .fit import Fit
 
 SPANNED = 1e-9  # of the largest tension or force: rows as close to the range of the data count as inside
-SHAPIRO_ROWS = (3, 5000)  # between which the test of Shapiro and Wilk holds
 GRID = 100  # points of a curve
 
 Numbers = ArrayLike | Sequence[float] | Sequence[Sequence[float]]
@@ -43,7 +43,6 @@ class Prediction(NamedTuple):
 def predicted_rows(
     base_tension: Numbers,
     tip_force: Numbers,
-    direction: Numbers | None,
     tendons: int,
     setting: AllRows,
     *,
@@ -54,40 +53,38 @@ def predicted_rows(
     """The rows to predict; arguments as in `Fit.predict`, and the setting that all rows share.
 
     Raises:
-        InputError: for numbers that are not finite, tensions below 0, shapes that do not fit, a history with stated
-            directions.
+        InputError: for numbers that are not finite, tensions below 0, shapes that do not fit.
     """
-    stated = {} if direction is None else {"direction": direction}
-    for name, given in {"base_tension": base_tension, "tip_force": tip_force, **stated}.items():
+    for name, given in {"base_tension": base_tension, "tip_force": tip_force}.items():
         check_numbers(f"predict: {name}", given)
-    tension = np.atleast_1d(np.asarray(base_tension, dtype=np.float64))
-    for name, numbers in {"base_tension": tension, "tip_force": tip_force, **stated}.items():
-        if not np.all(np.isfinite(np.asarray(numbers, np.float64))):
+        if not np.all(np.isfinite(np.asarray(given, np.float64))):
             raise InputError(f"predict: {name} must hold finite numbers")
+    tension = np.atleast_1d(np.asarray(base_tension, dtype=np.float64))
     if np.any(tension < 0):
         raise InputError(f"predict: base_tension must be 0 N or more, got {np.min(tension):g}; a tendon only pulls")
     tension = tension[:, None] if tension.ndim == 1 else tension
     rows = len(tension)
     try:
         pulled = np.broadcast_to(tension, (rows, tendons))
-        way = np.broadcast_to(np.asarray(direction, np.float64), (rows, tendons)).T if stated else (None,) * tendons
         components = 3 if np.shape(tip_force)[-1:] == (3,) else 2
         force = np.broadcast_to(np.asarray(tip_force, np.float64), (rows, components))
     except ValueError:
-        got = ", ".join(str(np.shape(given)) for given in (base_tension, tip_force, *stated.values()))
         raise InputError(
             f"predict: needs base_tension (rows,) or (rows, {tendons}), tip_force (2,) or (rows, 2), in space (3,) or "
-            f"(rows, 3), and direction of a shape that fits; got {got}"
+            f"(rows, 3); got {np.shape(base_tension)} and {np.shape(tip_force)}"
         ) from None
     if before != REST and not history:
         raise InputError("predict: before is used with a history only; give history=True")
-    if history and stated:
-        raise InputError("predict: with a history directions follow from it; leave direction out")
     course = None
     if history:
         with within("predict"):
-            course = course_along(pulled, force, before, short_steps, loaded=setting.loads is not None)
-    return Bench(pulled, tuple(way), force if np.any(force) else None, course=course, setting=setting)
+            starts = starts_of([1], before, (), tendons)[0]
+        columns = dict(zip(of_tendons("base_tension", tendons), pulled.T, strict=True))
+        columns |= {f"tip_force_{axis}": own for axis, own in zip("xyz", force.T, strict=False)}
+        path = Measurements("predict", columns, np.arange(1, rows + 1))
+        loaded = setting.loads is not None
+        course, _ = course_of(path, {"base_tension": 0.0}, starts, short_steps, loaded=loaded)
+    return Bench(pulled, (None,) * tendons, force if np.any(force) else None, course=course, setting=setting)
 
 
 def beyond_the_data(wanted: Bench, model: BenchModel) -> np.ndarray:
@@ -161,33 +158,6 @@ def correlated_names(fit: "Fit") -> list[str]:
     return [name for name in moving_names(fit) if fit.status[name] != NOT_IDENTIFIED]
 
 
-# --- residuals over their noise ------------------------------------------------------------------
-
-
-class Normality(NamedTuple):
-    """Whether the residuals of a group could be draws from a normal distribution."""
-
-    rows: int
-    p_value: float  # Shapiro and Wilk (1965); NaN where the test does not apply
-
-
-def normality(fit: "Fit") -> dict[str, Normality]:
-    """The test of Shapiro and Wilk for each group of data."""
-    return {name: normality_of(residual) for name, residual in fit.standardised_residuals.items()}
-
-
-def normality_of(residual: np.ndarray) -> Normality:
-    """The test of Shapiro and Wilk; NaN for too few, too many, equal or infinite residuals."""
-    from scipy.stats import shapiro
-
-    low, high = SHAPIRO_ROWS
-    applies = low <= residual.size <= high and np.all(np.isfinite(residual)) and np.ptp(residual) > 0
-    if not applies:
-        return Normality(residual.size, float("nan"))
-    scaled = residual / np.ptp(residual)  # the test has no scale, but SciPy takes a range below 1e-19 for zero
-    return Normality(residual.size, float(shapiro(scaled).pvalue))
-
-
 # --- the model beside the rows -------------------------------------------------------------------
 
 
@@ -240,21 +210,17 @@ def half_width(fit: "Fit", group: Group) -> np.ndarray:
 
 
 def has_numbers(fit: "Fit", group: Group) -> bool:
-    """Whether the model gave a finite prediction for each row, and along the whole curve where there is one."""
-    if not np.all(np.isfinite(fit.residuals[group.label])):
-        return False
-    curve = model_curve(fit, group)
-    curves = model_loops(fit, group) if curve is None else [curve]
-    return all(np.all(np.isfinite(curve.value)) for curve in curves)
+    """Whether the model gave a finite prediction for each row."""
+    return bool(np.all(np.isfinite(fit.residuals[group.label])))
 
 
 def tables_without_numbers(fit: "Fit") -> dict[str, str]:
     """By table, in words, the columns that the model gave no numbers for; such a table cannot be drawn."""
-    lost = {}
-    without = [group for group in fit.groups if not has_numbers(fit, group)]
-    for name, table in {group.name: group.table for group in without}.items():
-        columns = {group.column: fit.residuals[group.label] for group in without if group.name == name}
-        rows = max(np.sum(~np.isfinite(residual)) for residual in columns.values())
-        where = f" in {rows} of {len(table)} rows" if rows else " between the rows"
-        lost[name] = f"the model gave no numbers for {', '.join(columns)}{where}"
+    lost: dict[str, str] = {}
+    for name, table in zip(fit.model.names, fit.tables, strict=True):
+        without = [group for group in fit.groups if group.name == name and not has_numbers(fit, group)]
+        if without:
+            rows = max(np.sum(~np.isfinite(fit.residuals[group.label])) for group in without)
+            columns = ", ".join(group.column for group in without)
+            lost[name] = f"the model gave no numbers for {columns} in {rows} of {len(table)} rows"
     return lost

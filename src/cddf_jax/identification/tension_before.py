@@ -17,13 +17,11 @@ from jaxtyping import Array, ArrayLike, Float
 
 from ..errors import InputError
 from ..numerics.given_numbers import check_numbers
-from ..robot.manipulator import Manipulator
-from ..statics.solve import solve
 from ..units import shown
 
 PARAMETER = "before"  # of tendon 1 in all trials
 REST: Literal["rest"] = "rest"
-LEAST_ABOVE = 1.02  # times the first reading: the least tension at which a search starts
+ABOVE = 1.2  # times the first reading: where a search starts
 
 One = float | Literal["rest"] | Sequence[float]
 Before = One | Sequence[One]
@@ -177,16 +175,15 @@ def past_of(starts: Sequence[Start], first: Float[np.ndarray, "trials tendons"],
 
 
 def first_guesses(
-    manipulator: Manipulator, tables: Sequence[tuple[Sequence[Start], Float[np.ndarray, "trials tendons"]]]
+    tables: Sequence[tuple[Sequence[Start], Float[np.ndarray, "trials tendons"]]],
 ) -> dict[str, tuple[float, float]]:
     """By parameter, where the search starts, and the lower bound, N.
 
-    Once a release has reached the tip, the tension before it has no effect any more. So the search starts at a tension
-    from which the release to the first row reaches about half of the body. A single tendon had at least the tension of
-    the first row; with several tendons each may have had less.
+    Once a release has reached the tip, the tension before it has no effect any more. So the search starts a little
+    above the first row. A single tendon had at least the tension of the first row; with several tendons each may have
+    had less.
 
     Args:
-        manipulator: the body.
         tables: the trials of each table, and their first readings, N.
     """
     stated: dict[str, float] = {}
@@ -198,21 +195,8 @@ def first_guesses(
                     stated[name] = max(stated.get(name, 0.0), start.tension[i] or 0.0)
                     if name not in firsts or row[i] > firsts[name][1][i]:
                         firsts[name] = i, row
-    return {
-        name: (stated[name] or _half_released(manipulator, row, i), max(float(row[i]), 0.0) if row.size == 1 else 0.0)
-        for name, (i, row) in firsts.items()
-    }
-
-
-def _half_released(manipulator: Manipulator, row: Float[np.ndarray, " tendons"], tendon: int) -> float:
-    """A base tension from which the release to the first row ends about in the middle of the body, N.
-
-    With q = T_base / T_tip, a release reaches the tip when the base tension has fallen by about the factor q^2. So the
-    start is q times the first reading.
-    """
-    reading = float(row[tendon])
-    if reading <= 0:
-        return 1.0
-    tip = float(solve(manipulator, np.maximum(row, 0.0), throw=False).tip_tension[tendon])
-    ratio = reading / tip if 0 < tip < reading else LEAST_ABOVE
-    return reading * max(ratio, LEAST_ABOVE)
+    found = {}
+    for name, (tendon, row) in firsts.items():
+        reading = max(float(row[tendon]), 0.0)
+        found[name] = stated[name] or ABOVE * reading or 1.0, reading if row.size == 1 else 0.0
+    return found

@@ -7,11 +7,11 @@ import numpy as np
 from jaxtyping import Array, Int
 
 from ..estimation.determination import IDENTIFIED, NOT_IDENTIFIED, Determination
-from ..estimation.remarks import EXACT
+from ..estimation.remarks import EXACT, chance_of_more
 from ..estimation.whole_search import INTERRUPTED
 from ..measurements.columns import is_reading
 from ..measurements.holds import ALARM, LEAST_PAIRS
-from ..measurements.jitter import Steady
+from ..measurements.jitter import Steady, merged_levels
 from ..measurements.left_out import CONTRADICTED, as_leave_out, named_rows, rows_in_words, sources
 from ..measurements.readings import of_shape
 from ..measurements.table import Measurements
@@ -19,9 +19,10 @@ from ..measurements.table_warnings import warnings_of
 from ..measurements.trials import repeated_tables
 from ..statics.status import NOTEWORTHY, Status, words_of
 from ..units import preferred, shown
-from .bench import Bench, BenchModel
+from .bench import Bench, BenchModel, Group
 from .camera import frame_hint
-from .parameters import TRIALS, Parameters, parameter_named, starting_value, unit_of
+from .parameters import TRIALS, Parameters, parameter_named, unit_of
+from .predictions import noise_of_readings
 from .random_effects import many_levels
 from .tension_before import is_past
 
@@ -29,8 +30,7 @@ if TYPE_CHECKING:
     from .fit import Fit
 
 LARGEST_FRICTION = 2.0  # a larger coefficient gives a warning
-INCOMPRESSIBLE = 0.5  # Poisson's ratio of an isotropic material that keeps its volume, the largest possible one
-CHANCE = 1e-3  # p-value below which residuals differ from trial to trial
+CHANCE = 1e-3  # p-value below which residuals drift, or differ from trial to trial
 SHOWN = 4  # levels that a warning names
 LARGEST_MOVE = 0.5  # standard errors; a larger error by short steps gives a warning
 AGAINST = "tendons travel against the direction that was found for them"
@@ -132,17 +132,16 @@ def fit_warnings(fit: "Fit") -> list[str]:
             "use the exact one for a real body"
         )
     found += [remark for remark in fit.remarks if not remark.startswith(TRIALS)]
-    found += [f"{label} {remark}" for label, remark in _of_readings(fit)]
+    found += [
+        f"{group.label} differs from trial to trial by more than its scatter; try per_trial"
+        for group in fit.groups
+        if TRIALS not in fit.parameters and _differ_by_trial(fit, group)
+    ]
     mu = fit.value.get("friction_coefficient", 0.0)
     if mu > LARGEST_FRICTION and fit.status["friction_coefficient"] == IDENTIFIED:
         found.append(
             f"friction_coefficient = {mu:.3g} is far above that of any tendon; check the units of the tables, "
             "for instance radians in a column of degrees"
-        )
-    if fit.confidence_interval.get("poissons_ratio", (0.0, 0.0))[0] > INCOMPRESSIBLE:
-        found.append(
-            f"poissons_ratio = {fit.value['poissons_ratio']:.3g} is above 0.5, which no uniform material has: the body "
-            "is softer in torsion or shear than its bending stiffness suggests"
         )
     for solves in fit.solve_results:
         for status in NOTEWORTHY:
@@ -154,12 +153,38 @@ def fit_warnings(fit: "Fit") -> list[str]:
     return found
 
 
+def drift_of(fit: "Fit", group: Group) -> str:
+    """In words, that the residuals of a group with a history drift from the first step to the last; "" if not.
+
+    Two more parameters of the linearised model are tested: an error that grows with the step, and one that grows with
+    step times reading.
+    """
+    course = group.experiment.course if isinstance(group.experiment, Bench) else None
+    if course is None:
+        return ""
+    last = np.zeros(len(course.first_row))
+    np.maximum.at(last, course.trial, course.step)
+    time = (course.step / np.maximum(last[course.trial], 1.0) - 0.5)[group.there]
+    size = np.max(np.abs(group.observed), initial=1e-300)
+    columns = np.stack([time, time * group.observed / size], axis=1) / noise_of_readings(fit, group)[:, None]
+    chance = chance_of_more(fit.evidence, fit.standardised_residuals, group.label, columns)
+    if chance >= CHANCE:
+        return ""
+    return (
+        f"{group.label}: residuals drift from the first row to the last (p = {chance:.1g}); does the body creep, or "
+        "the zero of an instrument? Measure faster, or wait at each level"
+    )
+
+
 def merged_in_words(steady: Steady, table: Measurements) -> str:
     """Which rows became one level of base tension."""
-    levels = [
-        f"{table.place(one.first)} to {table.place(one.last)} are {one.tension:.5g} N" for one in steady.merged[:SHOWN]
-    ]
-    more = len(steady.merged) - SHOWN
+    runs = (
+        (rows[one.first], rows[one.last], one.tension)
+        for rows in table.trials
+        for one in merged_levels(table["base_tension"][rows], steady.tension[rows])
+    )
+    every = [f"{table.place(first)} to {table.place(last)} are {tension:.5g} N" for first, last, tension in runs]
+    levels, more = every[:SHOWN], len(every) - SHOWN
     return f" ({'; '.join(levels)}{f'; and {more} more levels' if more > 0 else ''})" if levels else ""
 
 
@@ -184,28 +209,12 @@ def _warnings_of_tables(fit: "Fit") -> Iterator[tuple[Measurements, tuple[str, .
         yield table, warnings_of(table, in_order=course is not None, from_rest=from_rest)
 
 
-def _of_readings(fit: "Fit") -> Iterator[tuple[str, str]]:
-    """Columns of the wrong sign, and columns that differ from trial to trial."""
-    body, nodes = fit.model.manipulator, fit.model.nodes
-    for group in fit.groups:
-        table, experiment, observed, residual = (
-            group.table,
-            group.experiment,
-            group.observed,
-            fit.residuals[group.label],
-        )
-        by_trial = "trial" in table and TRIALS not in fit.parameters
-        exact = np.max(np.abs(residual), initial=0.0) <= EXACT * np.max(np.abs(observed))  # only rounding errors
-        lost = np.sum(residual**2) > 0.5 * np.sum(observed**2)
-        if lost and of_shape(group.column) and isinstance(experiment, Bench):
-            # the readings with the parameters from which the search started
-            start = {n: v if n.startswith(TRIALS) else starting_value(body, n) for n, v in fit.parameters.items()}
-            shown_at_start = experiment.evaluate(body, start, nodes).readings[group.column][group.there]
-            if np.sum(observed * shown_at_start) < 0:
-                remedy = "check the side of the tendon and the column's sign"
-                yield group.label, f"has the sign opposite to the model's; {remedy}"
-        elif by_trial and not exact and _differ(fit.standardised_residuals[group.label], table["trial"][group.there]):
-            yield group.label, "differs from trial to trial by more than its scatter; try per_trial"
+def _differ_by_trial(fit: "Fit", group: Group) -> bool:
+    """Whether the residuals of a column differ from trial to trial, and not only by rounding errors."""
+    residual = fit.residuals[group.label]
+    exact = np.max(np.abs(residual), initial=0.0) <= EXACT * np.max(np.abs(group.observed))
+    trial = group.table.trial[group.there]
+    return "trial" in group.table and not exact and _differ(fit.standardised_residuals[group.label], trial)
 
 
 def _differ(residual: np.ndarray, trial: np.ndarray) -> bool:

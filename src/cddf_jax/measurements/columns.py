@@ -39,7 +39,6 @@ _SPELLINGS = {
     "stepnr": "step",
     "stepnumber": "step",
 } | {name.replace("_", ""): name for name in COLUMNS}
-_TIMES = re.compile(r"t|.*(time|zeit|elapsed|clock|date|second|[\[(](ms|s|sec|min|h|h+:m+\S*)[\])]).*", re.I)
 _LIKENESS = 0.85  # of a name to a known one, above which it counts as misspelt
 
 _IN = ("loading", "load", "pulling", "pull", "in", "up", "+")
@@ -69,11 +68,6 @@ def column_resembled(name: str) -> str | None:
         return None
     other_component = re.fullmatch(".*_[a-z]", written) and written[:-1] == close[0][:-1]  # tip_force_n
     return None if other_component else close[0]
-
-
-def may_be_time(name: str) -> bool:
-    """Whether an unknown column is perhaps the time of the rows, by its name or its unit."""
-    return bool(_TIMES.fullmatch(name.strip()))
 
 
 def _parts(name: str) -> tuple[str, str]:

@@ -22,8 +22,8 @@ LARGEST_NOISE = 0.05  # of the largest: larger changes are steps, with any gaps
 STEP = 5.0  # standard deviations from the mean of a hold
 MEDIAN_CHANGE = 0.954  # of the size of a change, for noise of standard deviation 1
 MOST_STEPS = 0.2  # of the changes; with more steps the median of the changes is not noise
-ONE_WAY = 0.8  # net change over the sum of all changes within holds: where it is larger, the rows are a ramp
-LEAST_CHANGES = 4  # in a hold that can show a ramp
+LEAST_IN_HOLD, LEAST_HOLDS = 4, 8  # rows in a hold, and such holds, that can show a ramp
+ONE_WAY = 0.6  # share of holds whose readings change as the levels do, less the share of opposite ones, of a ramp
 ALARM = NormalDist().inv_cdf(1 - 1e-3)  # standard deviations of a correlation of independent readings
 LEAST_PAIRS = 10
 
@@ -76,7 +76,7 @@ def hold_labels(levels: ArrayLike, trial: ArrayLike) -> np.ndarray:
             count += 1
             mean = [here + (there - here) / count for there, here in zip(level, mean, strict=True)]
     labels = np.cumsum(new) - 1
-    return labels if by_gap or not _is_ramp(change[~new[1:]], labels[1:][~new[1:]]) else np.arange(rows)
+    return labels if by_gap or not any(is_ramp(column, labels) for column in scaled.T) else np.arange(rows)
 
 
 def _noise_of_levels(change: np.ndarray) -> tuple[float, bool]:
@@ -94,14 +94,14 @@ def _noise_of_levels(change: np.ndarray) -> tuple[float, bool]:
     return SAME_LEVEL, False
 
 
-def _is_ramp(change: np.ndarray, hold: np.ndarray) -> bool:
-    """Whether the level changes in one direction within holds; noise changes it up and down."""
-    if not hold.size:
-        return False
-    enough = np.bincount(hold) >= LEAST_CHANGES
-    net = sum(np.abs(np.bincount(hold, moves))[enough].sum() for moves in change.T)
-    gone = sum(np.bincount(hold, np.abs(moves))[enough].sum() for moves in change.T)
-    return bool(gone > 0 and net > ONE_WAY * gone)
+def is_ramp(level: np.ndarray, holds: np.ndarray) -> bool:
+    """Whether levels change within holds as they do from hold to hold: then they are a ramp, and not holds."""
+    size, row = np.bincount(holds), np.arange(level.size)
+    about = row - (np.bincount(holds, row) / size)[holds]
+    slope, mean = np.bincount(holds, about * level), np.bincount(holds, level) / size
+    around = np.concatenate([mean[:1], mean, mean[-1:]])
+    alike = (np.sign(slope) * np.sign(around[2:] - around[:-2]))[size >= LEAST_IN_HOLD]
+    return alike.size >= LEAST_HOLDS and bool(np.mean(alike) > ONE_WAY)
 
 
 def serial_correlation(residual: ArrayLike, labels: ArrayLike, num_parameters: float = 0.0) -> SerialCorrelation:
@@ -144,9 +144,7 @@ def average_holds(table: Measurements) -> Measurements:
     """One reading for each hold: the mean of its rows. A fit may take these means as independent.
 
     The scatter of the means about the model includes what the rows of a hold have in common. A fit estimates it from
-    the means. `spread` of the new table is the standard deviation of the rows of each hold, by column. If there are too
-    few holds to estimate the noise, give it to the fit, `noise=table.spread`. It is too large if rows are independent,
-    and it does not contain what the rows of a hold have in common.
+    the means.
 
     Args:
         table: as it was read.
@@ -155,17 +153,15 @@ def average_holds(table: Measurements) -> Measurements:
         The table of means, each with the row of the file in which its hold begins. A table without holds is returned
         unchanged.
     """
-    table = table.in_order()
-    labels = holds_of(table)
+    order = table.order
+    columns, rows = {name: own[order] for name, own in table.columns.items()}, table.rows[order]
+    labels = holds_of(table)[order]
     first, size = np.unique(labels, return_index=True, return_counts=True)[1:]
     if np.all(size == 1):
         return table
-    columns = {
-        name: values[first] if name == "trial" else _mean(values, labels) for name, values in table.columns.items()
-    }
-    spread = {column: _spread(table[column], labels) for column in columns if is_reading(column)}
+    means = {name: values[first] if name == "trial" else _mean(values, labels) for name, values in columns.items()}
     note = f"each hold averaged to one reading: {len(table)} rows became {first.size}"
-    return replace(table, columns=columns, rows=table.rows[first], notes=(*table.notes, note), spread=spread)
+    return replace(table, columns=means, rows=rows[first], notes=(*table.notes, note), holds_averaged=True)
 
 
 def _mean(values: np.ndarray, labels: np.ndarray) -> np.ndarray:
@@ -174,12 +170,3 @@ def _mean(values: np.ndarray, labels: np.ndarray) -> np.ndarray:
     count = np.bincount(labels, there)
     total = np.bincount(labels, np.where(there, values, 0.0))
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
-
-
-def _spread(values: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """Standard deviation of the rows of each hold; that of all holds together for a hold without scatter."""
-    there = np.isfinite(values)
-    error = np.where(there, values - _mean(values, labels)[labels], 0.0)
-    count, squares = np.bincount(labels, there), np.bincount(labels, error**2)
-    pooled = squares.sum() / max(np.sum(np.maximum(count - 1, 0)), 1)
-    return np.sqrt(np.where(squares > 0, squares / np.maximum(count - 1, 1), pooled))

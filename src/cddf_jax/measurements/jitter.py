@@ -10,15 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .holds import CLEAR_GAP, NO_STEP, hold_labels
+from .holds import CLEAR_GAP, NO_STEP, hold_labels, is_ramp
 
 SURE = 3.0  # standard deviations of each of two levels by which these differ, if the tension turned
 LARGEST_JITTER = 0.02  # of the largest tension; a larger way back is always a turn
 LEAST_FREEDOM = 5  # degrees of freedom from which the noise within holds is estimated
 FEW = 4  # rows: with a stated noise the mean of so few is not taken, as it may hide a turn
 STEP = 3.0  # standard deviations between the means before and after a step within a hold
-LEAST_IN_HOLD, LEAST_HOLDS = 4, 8  # rows in a hold, and such holds, that can show a ramp
-ONE_WAY = 0.6  # share of holds whose readings change as the levels do, less the share of opposite ones, of a ramp
 
 
 class Level(NamedTuple):
@@ -36,7 +34,6 @@ class Steady(NamedTuple):
     noise: float  # standard deviation of a reading, N; 0 if none was found or stated
     least_turn: float  # N: a larger way back is a turn
     num_ignored: int  # how many turns of the readings are noise
-    merged: tuple[Level, ...] = ()  # what was made one level
 
 
 def without_jitter(readings: np.ndarray, noise: float | None = None) -> Steady:
@@ -56,7 +53,7 @@ def without_jitter(readings: np.ndarray, noise: float | None = None) -> Steady:
         holds = _split(readings, np.zeros(readings.size, int), noise)
         few = np.bincount(holds)[holds] <= FEW
         holds = np.cumsum(np.append(True, (np.diff(holds) != 0) | few[1:])) - 1
-    holds = np.arange(readings.size) if _is_ramp(readings, holds) else holds
+    holds = np.arange(readings.size) if is_ramp(readings, holds) else holds
     level, size = _means(readings, holds), np.bincount(holds)
     noise = _scatter(readings, holds) if noise is None else noise
     error = SURE * noise / np.sqrt(size)
@@ -66,7 +63,7 @@ def without_jitter(readings: np.ndarray, noise: float | None = None) -> Steady:
     noise = noise or float(np.std(level - steady))
     ignored = turns_of(readings).size - turns_of(steady).size
     tension = steady[holds] if ignored else readings
-    return Steady(tension, noise, 2 * float(np.max(error)), ignored, _merged(readings, tension))
+    return Steady(tension, noise, 2 * float(np.max(error)), ignored)
 
 
 def turns_of(level: np.ndarray, error: np.ndarray | None = None) -> np.ndarray:
@@ -120,21 +117,11 @@ def _split(readings: np.ndarray, holds: np.ndarray, noise: float) -> np.ndarray:
     return np.cumsum(new) - 1
 
 
-def _merged(readings: np.ndarray, tension: np.ndarray) -> tuple[Level, ...]:
+def merged_levels(readings: np.ndarray, tension: np.ndarray) -> list[Level]:
+    """The runs of different readings of one trial that became one tension."""
     ends = np.flatnonzero(np.append(True, np.diff(tension) != 0)).tolist()
     runs = (Level(first, end - 1, float(tension[first])) for first, end in pairwise([*ends, tension.size]))
-    return tuple(run for run in runs if np.ptp(readings[run.first : run.last + 1]) > 0)
-
-
-def _is_ramp(readings: np.ndarray, holds: np.ndarray) -> bool:
-    """Whether readings change within holds as they do from hold to hold: then they are a ramp, and not holds."""
-    size = np.bincount(holds)
-    row = np.arange(readings.size)
-    about = row - (np.bincount(holds, row) / size)[holds]
-    slope, level = np.bincount(holds, about * readings), np.bincount(holds, readings) / size
-    around = np.concatenate([level[:1], level, level[-1:]])
-    alike = (np.sign(slope) * np.sign(around[2:] - around[:-2]))[size >= LEAST_IN_HOLD]
-    return alike.size >= LEAST_HOLDS and bool(np.mean(alike) > ONE_WAY)
+    return [run for run in runs if np.ptp(readings[run.first : run.last + 1]) > 0]
 
 
 def _small_ways_back(level: np.ndarray) -> float:

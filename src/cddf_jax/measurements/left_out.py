@@ -5,10 +5,10 @@ as a step of the path.
 """
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby
-from typing import Literal, Protocol, TypeVar, runtime_checkable
+from typing import Literal
 
 import numpy as np
 
@@ -17,23 +17,11 @@ from .columns import is_reading
 from .table import Measurements
 
 CONTRADICTED: Literal["contradicted"] = "contradicted"
-ROUNDS = 5  # of fits, each without the rows that the fits before contradict
 FORM = 'rows such as "8, 14, 20-23"'
 
 Rows = str | Sequence[int]
 LeaveOut = Rows | Mapping[str, Rows]
 LeftOut = dict[str, list[int]]  # by file, the numbers of rows
-
-
-@runtime_checkable
-class Fitted(Protocol):
-    """A fit that knows which rows it contradicts."""
-
-    @property
-    def contradicted(self) -> LeftOut: ...
-
-
-F = TypeVar("F", bound=Fitted)
 
 
 def numbered(names: Sequence[str]) -> list[str]:
@@ -125,14 +113,3 @@ def _table_without(table: Measurements, marked: np.ndarray) -> Measurements:
     if len(empty) == sum(map(is_reading, kept)):
         raise InputError(f"leave_out: no reading of {table.name} is left; leave out fewer rows, or the whole table")
     return replace(table, columns={name: values for name, values in kept.items() if name not in empty})
-
-
-def without_contradicted(fit: Callable[..., F], tables: Sequence[Measurements]) -> F:
-    """Fit, leave out the rows that the fit contradicts, and fit again, until it contradicts none."""
-    found, left = fit(tables, leave_out={}), LeftOut()
-    for _ in range(ROUNDS):
-        if not (more := found.contradicted):
-            break
-        left = {file: left.get(file, []) + more.get(file, []) for file in {**left, **more}}
-        found = fit(tables, leave_out=left)
-    return found

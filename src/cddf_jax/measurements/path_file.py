@@ -12,7 +12,7 @@ from ..files.csv_table import Table, read_table
 from ..files.table_header import Kind, name_and_unit
 from ..quantities import dimension_of
 from ..units import Dimension, written
-from .column_guesses import advice, guess_path
+from .column_guesses import advice
 from .columns import column_dimension, column_meant, is_reading
 from .order import ORDER, check_order, order_of
 
@@ -45,8 +45,7 @@ def read_path_file(path: str | os.PathLike[str], columns: Mapping[str, str] | No
         named = [name for name in DRIVEN if name in table.columns]
         if not named:
             what = f"has no column with a path; name one {', or '.join(DRIVEN)}, with its unit"
-            hint = advice(table.unused, guess_path(table.unused, table.columns))
-            raise InputError(what, where=f"row {table.header}", remedy=hint)
+            raise InputError(what, where=f"row {table.header}", remedy=advice(table.unused, {}, DRIVEN[:1]))
         driven, *others = named
         trials = list(dict.fromkeys(table.columns.get("trial", np.zeros(0)).tolist()))
         if len(trials) > 1:

@@ -43,7 +43,7 @@ marks and encodings that can be read; .xlsx needs the extra `excel`.
 
 import hashlib
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -67,7 +67,6 @@ from .columns import (
     column_resembled,
     is_direction,
     is_reading,
-    may_be_time,
 )
 from .marker_table import NO_MARKERS, of_markers, read_marker_table
 from .markers import Marker
@@ -91,7 +90,7 @@ class Measurements:
         trial_labels: as written, in the order of their first appearance.
         notes: the text above the header.
         simulated: whether name or notes say so.
-        spread: by column, the standard deviation of the rows behind each mean of `average_holds`; else None.
+        holds_averaged: whether the rows are means of `average_holds`.
         read_as: how the file was understood, in lines that begin with its name; empty for a plain one.
         files: if the trials are files, their names, in the order of `trial_labels`.
         unread: columns that held no reading in any row and are left out.
@@ -105,7 +104,7 @@ class Measurements:
     trial_labels: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     simulated: bool = False
-    spread: Mapping[str, np.ndarray] | None = None
+    holds_averaged: bool = False
     read_as: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
     unread: tuple[str, ...] = ()
@@ -178,13 +177,6 @@ class Measurements:
         trial = self.trial[self.order]
         return [self.order[trial == number] for number in np.unique(trial)]
 
-    def in_order(self) -> "Measurements":
-        """The same rows in the order in which they were measured."""
-        if np.all(np.diff(self.order) == 1):
-            return self
-        columns = {name: values[self.order] for name, values in self.columns.items()}
-        return replace(self, columns=columns, rows=self.rows[self.order])
-
     def place(self, row: int) -> str:
         """The place of a row in words: "row 7", counted as in the file; with several files "row 7 of run_2.csv".
 
@@ -249,7 +241,7 @@ def read_file(
         if twice := [column for column in more.columns if column in found.columns]:
             raise InputError(f"the column {twice[0]} is in {markers} as well; leave one out")
         every = found.columns | more.columns
-        said = (*found.read_as, *further, *more.read_as, *_unused_times(found))
+        said = (*found.read_as, *further, *more.read_as)
         table = _table(in_utf8(Path(path).name), every, notes=found.notes, rows=found.rows, read_as=said)
     unread = [name for name, meant in own.items() if heading_of(meant, _KIND, {}).column in table.unread]
     missing = tuple(
@@ -258,14 +250,6 @@ def read_file(
         if (name not in own or name in (*found.missing, *unread)) and (name not in theirs or name in more.missing)
     )
     return replace(table, markers=more.places), missing
-
-
-def _unused_times(found: Table) -> Iterator[str]:
-    """Unused columns that may be the time, where a base tension falls and no column gives the order."""
-    pulls = [values for column, values in found.columns.items() if column.startswith("base_tension")]
-    if not any(column in found.columns for column in ORDER) and any(np.any(np.diff(values) < 0) for values in pulls):
-        for head in (one.head for one in found.unused if may_be_time(one.head)):
-            yield f"if {short(head)} is the time of the rows, {option(head, 'time')} gives them a history"
 
 
 _KIND = Kind(
@@ -360,7 +344,7 @@ def _array(column: str, values: ArrayLike) -> np.ndarray:
 
 
 def _check_heads(found: Table) -> list[str]:
-    """Refuse a file that lacks a column, or has a misspelt one; else a hint on further readings, if there are any."""
+    """Refuse a file that lacks a column, or has a misspelt one; else hints on further readings and a time."""
     unused, where = found.unused, f"row {found.header}"
     guesses = guess_measurements(unused, found.columns)
     misspelt = {one.name: meant for one in unused if (meant := column_resembled(one.name))}
@@ -376,7 +360,13 @@ def _check_heads(found: Table) -> list[str]:
         remedy = advice(unused, guesses, _missing(guessed.union(found.columns)))
         raise InputError(what, where=where, remedy=remedy)
     _check_columns(found.columns)
-    return hint({head: meant for head, meant in guesses.items() if is_reading(meant.partition(" ")[0])})
+    falls = any(np.any(np.diff(own) < 0) for column, own in found.columns.items() if column.startswith("base_tension"))
+    may_be = {head: meant.partition(" ")[0] for head, meant in guesses.items()}
+    times = [head for head, column in may_be.items() if column == "time" and falls and "step" not in found.columns]
+    return [
+        *hint({head: meant for head, meant in guesses.items() if is_reading(may_be[head])}),
+        *(f"if {short(head)} is the time of the rows, {option(head, 'time')} gives them a history" for head in times),
+    ]
 
 
 def _missing(columns: Iterable[str]) -> list[str]:

@@ -1,6 +1,7 @@
 """Warnings about a table of measurements that can be used."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,10 +12,6 @@ if TYPE_CHECKING:
 _TIP_ABOVE_BASE = 1.05  # times the base tension, plus
 _ZERO_ERROR = 0.005  # times the largest base tension: a tip tension above this sum is reported
 ONE_LEVEL = 0.01  # base tensions that vary by less, relative to the largest, are one level
-_TURNED = (
-    "each counts as pulled from rest. Where the tension was lowered without a release to 0 N, write {} -1 for rows in "
-    "which all of the tendon slides out, and leave out those right after the turn, where part of it still sticks"
-)
 _LARGEST_ANGLE = {"wrap_angle": 10 * np.pi, "tip_angle": 2 * np.pi}  # larger ones are probably degrees
 
 
@@ -26,34 +23,19 @@ def warnings_of(table: "Measurements", *, in_order: bool, from_rest: bool = True
         in_order: whether its rows have a history.
         from_rest: whether the trials begin at rest.
     """
-    of_rows = [look(table) for look in (_too_few_rows, _repeated_rows, _one_level)]
-    of_order = (_tip_above_base_on_the_way_up, _starts_anew) if in_order else (_tip_above_base, _coming_down)
-    looks = (_below_zero, *(of_order if from_rest else of_order[1:]), _large_angle)
+    of_rows = [look(table) for look in (_one_row, _repeated_rows, _one_level)]
+    of_past = [partial(_tip_above_base, in_order=in_order)] if from_rest else []
+    looks = _below_zero, *of_past, _starts_anew if in_order else _coming_down, _large_angle
     of_columns = [next(filter(None, (look(table, column) for column in table.columns)), "") for look in looks]
     return tuple(filter(None, of_rows + of_columns))
 
 
-def _too_few_rows(table: "Measurements") -> str:
-    if len(table) == 1:
-        return "there is one row only, from which no scatter can be estimated"
-    counts = np.bincount(table.trial)
-    alone = np.flatnonzero(counts == 1)
-    if alone.size == 0 or counts.max() == 1:  # one row in each trial: the trial is only a label of the row
-        return ""
-    first = table.place(int(np.flatnonzero(table.trial == alone[0])[0]))
-    return (
-        f"trials of one row only: {alone.size} of {counts.size} (trial {table.trial_labels[alone[0]]}, {first}); "
-        "is the rest missing?"
-    )
+def _one_row(table: "Measurements") -> str:
+    return "there is one row only, from which no scatter can be estimated" if len(table) == 1 else ""
 
 
 def _repeated_rows(table: "Measurements") -> str:
-    if len(table) == 1:
-        return ""
     columns = [np.nan_to_num(values, nan=np.inf) for values in table.columns.values()]  # gaps are equal to each other
-    measured = [values for column, values in zip(table.columns, columns, strict=True) if column != "trial"]
-    if all(np.all(values == values[0]) for values in measured):
-        return f"all {len(table)} rows are equal, so that nothing follows from their differences"
     order = np.lexsort(columns)  # stable: of equal rows the earlier stays first
     same = np.all([values[order][1:] == values[order][:-1] for values in columns], axis=0)
     if not np.any(same):
@@ -83,22 +65,19 @@ def _below_zero(table: "Measurements", column: str) -> str:
     return _rows_with(table, values < 0, f"{column} below 0", lambda i: f"{values[i]:.4g} N", remedy)
 
 
-def _tip_above_base(table: "Measurements", column: str) -> str:
-    way = column.replace("tip_tension", "direction")
-    found_later = "base_tension_2" in table.columns and way not in table.columns  # with the equilibrium
-    if not column.startswith("tip_tension") or found_later:
-        return ""
-    return _above(table, column, table.columns.get(way, np.ones(len(table))) > 0)
-
-
-def _tip_above_base_on_the_way_up(table: "Measurements", column: str) -> str:
-    """As `_tip_above_base`, for rows at the largest base tension so far, where all of the tendon slides in."""
-    if not column.startswith("tip_tension") or "base_tension_2" in table.columns:
+def _tip_above_base(table: "Measurements", column: str, *, in_order: bool) -> str:
+    """Rows in which all of the tendon slides in: with a history those at the largest base tension so far."""
+    pull, way = column.replace("tip", "base"), column.replace("tip_tension", "direction")
+    if not column.startswith("tip_tension") or ("base_tension_2" in table and (in_order or way not in table)):
         return ""  # of several tendons any may slide out while another is pulled
-    base, highest = table["base_tension"], np.zeros(len(table), bool)
-    for rows in table.trials:
-        highest[rows] = base[rows] >= np.maximum.accumulate(base[rows])
-    return _above(table, column, highest)
+    base, tip = table[pull], table[column]
+    sliding_in = table.columns.get(way, np.ones(len(table))) > 0
+    for rows in table.trials if in_order else ():
+        sliding_in[rows] = base[rows] >= np.maximum.accumulate(base[rows])
+    above = sliding_in & (tip > _TIP_ABOVE_BASE * base + _ZERO_ERROR * base.max())
+    remedy = f"are the cells swapped or off zero, or does the tendon slide out ({way} -1)?"
+    what = f"{column} more than 5 % above {pull}"
+    return _rows_with(table, above, what, lambda i: f"{tip[i]:.6g} N over {base[i]:.6g} N", remedy)
 
 
 def _starts_anew(table: "Measurements", column: str) -> str:
@@ -121,20 +100,11 @@ def _starts_anew(table: "Measurements", column: str) -> str:
     return _rows_with(table, which, what, lambda i: f"{table[column][i]:.6g} N after {above[i]:.6g} N", remedy)
 
 
-def _above(table: "Measurements", column: str, sliding_in: np.ndarray) -> str:
-    pull, way = column.replace("tip", "base"), column.replace("tip_tension", "direction")
-    base, tip = table[pull], table[column]
-    above = sliding_in & (tip > _TIP_ABOVE_BASE * base + _ZERO_ERROR * base.max())
-    remedy = f"are the cells swapped or off zero, or does the tendon slide out ({way} -1)?"
-    what = f"{column} more than 5 % above {pull}"
-    return _rows_with(table, above, what, lambda i: f"{tip[i]:.6g} N over {base[i]:.6g} N", remedy)
-
-
 def _coming_down(table: "Measurements", column: str) -> str:
     """Rows below the row before them that are not a new start at the lowest level of their trial."""
     stated = column.replace("base_tension", "direction")
-    with_history = "base_tension_2" not in table and not any(name.startswith("tip_force") for name in table.columns)
-    if not column.startswith("base_tension") or (stated in table.columns and not with_history):
+    several = "base_tension_2" in table or any(name.startswith("tip_force") for name in table.columns)
+    if not column.startswith("base_tension") or (stated in table and several):
         return ""
     order = table.order
     base, trial = table[column][order], table.trial[order]
@@ -145,15 +115,12 @@ def _coming_down(table: "Measurements", column: str) -> str:
     down[order] = falls & (base > least[trial] + slack)
     before = np.empty(len(table))
     before[order] = np.append(0.0, base[:-1])
-    if with_history:
-        how = f"slides as its {stated} says" if stated in table.columns else "is pulled from rest"
-        what = f"{column} below that of the row before"
-        remedy = (
-            f"without a history the tendon {how}, along its whole length. With one, what came before counts: give "
-            "history=True (--history), or a column step or time"
-        )
-    else:
-        what, remedy = f"{column} below that of the row before, while no {stated} is stated", _TURNED.format(stated)
+    what = f"{column} below that of the row before"
+    remedy = (
+        f"without a history the whole tendon slides as {stated} says, or is pulled from rest. Give the rows a history "
+        f"(history=True, --history, a column step or time), or write {stated} -1 where all of the tendon slides out, "
+        "and leave out the rows right after the turn, where part of it sticks"
+    )
     return _rows_with(table, down, what, lambda i: f"{table[column][i]:.6g} N after {before[i]:.6g} N", remedy)
 
 

@@ -18,10 +18,8 @@ from ..identification.bench import Bench
 from ..identification.fit import Fit
 from ..identification.parameters import TRIALS, unit_of
 from ..identification.predictions import (
-    Normality,
     correlated_names,
     moving_names,
-    normality,
     own_names,
     tables_without_numbers,
 )
@@ -37,10 +35,11 @@ from .report import Files, Report, rendered, versions
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from ..identification.model_free import Disagreement, ModelFreeFriction, ModelFreeLoop
+    from ..identification.model_free import ModelFreeFriction, ModelFreeLoop
 
 
 LEAST_ROWS = 3  # for friction without a model
+LARGEST_AWAY = 3.0  # standard errors of a fit from friction without a model: beyond, the report says what to check
 # of results.json
 OF_FIT = (
     *("result", "success", "verdict", "warnings", "noise", "noise_model", "noise_estimated", "input_noise"),
@@ -67,7 +66,7 @@ class ModelFree(NamedTuple):
     """Friction without a model of the body, and how far that of the fit lies from it."""
 
     friction: "ModelFreeFriction"
-    disagreement: "Disagreement | None"  # None where the fit has no friction coefficient to compare
+    away: float | None  # in standard errors; None where the fit has no friction coefficient to compare
 
 
 class LoopCompared(NamedTuple):
@@ -83,7 +82,6 @@ class FitResults(NamedTuple):
     fit: Fit
     profiles: dict[str, Profile]  # by fitted parameter; none of a fit that failed
     bootstraps: tuple[Bootstrap, ...]
-    normality: dict[str, Normality]
     model_free: dict[str, ModelFree]  # by table
     loops: dict[str, LoopCompared]  # by table with a history
 
@@ -93,7 +91,7 @@ def make_report(fit: Fit, *, bootstraps: Sequence[Bootstrap] = (), with_profiles
     profiles = (
         {name: fit.profile(name) for name in each("profile", own_names(fit))} if fit.success and with_profiles else {}
     )
-    return FitResults(fit, profiles, tuple(bootstraps), normality(fit), _model_free(fit), _loops(fit))
+    return FitResults(fit, profiles, tuple(bootstraps), _model_free(fit), _loops(fit))
 
 
 def _model_free(fit: Fit) -> dict[str, ModelFree]:
@@ -101,20 +99,18 @@ def _model_free(fit: Fit) -> dict[str, ModelFree]:
     body = fit.manipulator
     if body.kinematics != "exact" or body.num_tendons != 1 or body.slanted:
         return {}
-    from ..identification.model_free import COLUMNS, disagreement, model_free_friction
+    from ..identification.model_free import COLUMNS, model_free_friction
 
     found, mu = {}, "friction_coefficient"
     for name, table in _from_rest(fit, COLUMNS):
         if len(table) >= LEAST_ROWS:
             with suppress(InputError):  # no row is bent
                 friction = model_free_friction(table, in_order=name in fit.without_jitter)
-                determined = mu in fit.names and np.isfinite(fit.standard_error[mu])
-                compared = None
-                if determined:
-                    reach = fit.evidence.uncertainty(np.array([[own == mu for own in fit.names]], float))
-                    freedom = float(reach.freedom[0])
-                    compared = disagreement(friction, fit.value[mu], fit.standard_error[mu], freedom)
-                found[name] = ModelFree(friction, compared)
+                away = None
+                if mu in fit.names and np.isfinite(fit.standard_error[mu]):
+                    error = float(np.hypot(friction.standard_error, fit.standard_error[mu]))
+                    away = (fit.value[mu] - friction.value) / error if error > 0 else None
+                found[name] = ModelFree(friction, away)
     return found
 
 
@@ -155,12 +151,11 @@ def fit_as_dict(results: FitResults) -> dict[str, object]:
         "alone": {name: _determination_as_dict(determination) for name, determination in fit.alone.items()},
         "pull_alone": None if fit.pull_alone is None else _determination_as_dict(fit.pull_alone),
         "without_jitter": fit.without_jitter,
-        "normality": results.normality,
         "cost_from_each_start": fit.starts,
         "profiles": results.profiles,
         "bootstraps": [picked(bootstrap, OF_BOOTSTRAP) for bootstrap in results.bootstraps],
         "model_free_friction": {
-            name: {"unit": "1"} | picked(found.friction, OF_MODEL_FREE) | {"disagreement": found.disagreement}
+            name: {"unit": "1"} | picked(found.friction, OF_MODEL_FREE) | {"standard_errors_away": found.away}
             for name, found in results.model_free.items()
         },
         "model_free_loop": {
@@ -178,7 +173,7 @@ def fit_as_dict(results: FitResults) -> dict[str, object]:
 def _table_as_dict(table: Measurements) -> dict[str, object]:
     named = {"files": table.files or (table.name,), "rows": len(table), "sha256": table.checksum}
     named |= {"markers": {name: marker._asdict() for name, marker in table.markers.items()}} if table.markers else {}
-    return picked(table, ("name", "simulated", "read_as")) | named | {"holds_averaged": table.spread is not None}
+    return picked(table, ("name", "simulated", "read_as")) | named | {"holds_averaged": table.holds_averaged}
 
 
 def _determination_as_dict(found: Determination) -> dict[str, object]:
@@ -278,7 +273,7 @@ def fit_as_markdown(results: FitResults, figures: Sequence[str] | None = None) -
         _profile_section(results),
         *(_bullets(title[0].upper() + title[1:], entries) for title, entries in _also_said(results).items()),
         _trial_section(fit),
-        _noise_section(results),
+        _noise_section(fit),
         _bullets("Without a model of the body", _model_free_in_words(results)),
         _bullets("Warnings", later),
         _bullets("What was stated about the bench", _stated(fit)),
@@ -418,10 +413,8 @@ def _trial_section(fit: Fit) -> list[str]:
     return _section("Trials", [text, "", *table] if rows else [])
 
 
-def _noise_section(results: FitResults) -> list[str]:
-    fit = results.fit
-    head = ("data", "standard deviation", "made of", "normal: Shapiro-Wilk p")
-    head += ("correlation from row to row of a hold", "count as independent")
+def _noise_section(fit: Fit) -> list[str]:
+    head = ("data", "standard deviation", "made of", "correlation from row to row of a hold", "count as independent")
     rows = []
     for label, deviation in fit.noise.items():
         scale, unit = preferred(column_dimension(label.rpartition(": ")[2]) or "dimensionless")
@@ -429,12 +422,12 @@ def _noise_section(results: FitResults) -> list[str]:
         if label in fit.noise_model:
             floor, fraction = (part or 0.0 for part in fit.noise_model[label])
             made_of = f"{scale * floor:.3g} {unit} and {100 * fraction:.3g} % of the value"
-        tests = _or_dash(results.normality[label].p_value, ".2g"), _or_dash(alike.lag_one, ".2f")
         independent = f"{alike.num_effective:.0f} of {alike.num_readings}"
-        rows.append([label, f"{scale * deviation:.3g} {unit}", made_of, *tests, independent])
+        size = f"{scale * deviation:.3g} {unit}"
+        rows.append([label, size, made_of, _or_dash(alike.lag_one, ".2f"), independent])
     for label, deviation in fit.input_noise.items():
         kind = "estimated" if label in fit.evidence.estimated_inputs else "as given" if deviation else "none is seen"
-        rows.append([label, f"{deviation:.3g} N", kind, "-", "-", "-"])
+        rows.append([label, f"{deviation:.3g} N", kind, "-", "-"])
     kind = "estimated from the residuals" if fit.noise_estimated else "as given"
     text = f"Noise {kind}; {fit.degrees_of_freedom} degrees of freedom; rank {fit.rank}; {fit.result}."
     return _section("Noise", [*markdown_table(head, rows), "", text])
@@ -446,11 +439,12 @@ def _or_dash(value: float, form: str) -> str:
 
 def _model_free_in_words(results: FitResults) -> list[str]:
     lines = []
-    for name, (friction, compared) in results.model_free.items():
+    for name, (friction, away) in results.model_free.items():
         lines += [f"{name}: {line}" for line in friction.verdict]
-        if compared is not None:
-            agrees = f"the fit lies {abs(compared.z):.1f} standard errors from it"
-            lines.append(f"{name}: {compared.sentence or agrees}")
+        if away is not None:
+            check = "; check kinematics, the offset of the tendon, and the zeros of the cells and the camera"
+            told = f"{name}: the fit lies {abs(away):.1f} standard errors from it"
+            lines.append(told + check * (abs(away) > LARGEST_AWAY))
     for name, (loop, loss) in results.loops.items():
         lines += [f"{name}: {line}" for line in loop.verdict]
         lines.append(f"{name}: the fit has {loss:.4g} 1/N")
@@ -475,4 +469,4 @@ def _stated(fit: Fit) -> list[str]:
         past = [words for course in courses for words in course.past_in_words]
         past = past if len(set(past)) > 1 else past[:1]  # "rest", or where trials differ "rest, 80 N"
         lines.append(f"With history: {', '.join(fit.without_jitter)}. Before the first row: {', '.join(past)}.")
-    return lines + (["Holds were averaged."] if any(table.spread is not None for table in fit.tables) else [])
+    return lines + (["Holds were averaged."] if any(table.holds_averaged for table in fit.tables) else [])
