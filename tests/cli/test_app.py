@@ -125,7 +125,7 @@ def test_wrong_manipulators(fails, command, change, message):
         (("solve", PAPER, *PULL, "--direction", "2"), "--direction 2: give +1 for a tendon that slides in"),
         (("solve", PAPER, *PULL, "--gravity", "0, -9.81 m/s^2"), f"{PAPER}: loads.gravity: the body has no weight"),
         (("fit", PAPER, PULLEY, "--prior", "youngs_modulus=1.4 MPa +- 0 MPa"), "prior for youngs_modulus: needs a me"),
-        (("fit", PAPER, PULLEY, "--prior", "friction_coefficient=0.6..0.7"), "friction_coefficient starts at 0.42, "),
+        (("fit", PAPER, PULLEY, "--bound", "friction_coefficient=0.6:0.7"), "friction_coefficient starts at 0.42, "),
         (("fit", PAPER, PULLEY, "--prior", "length=140 mm +- 1 mm"), "prior for 'length', which is not fitted"),
         (("fit", PAPER, PULLEY, "--noise", "tip_angle=1 deg"), "fit: noise is given for 'tip_angle', which no table"),
         (("fit", PAPER, PULLEY, "--noise", "pulling_tension=0 N"), "sigma of pulley_simulated.csv: pulling_tension mu"),

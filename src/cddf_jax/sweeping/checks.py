@@ -11,6 +11,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..mechanics.march import FixedPoint
+from ..numerics.given_numbers import check_numbers
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..robot.validation import check_weight
@@ -32,6 +33,7 @@ def _check_kinds(work: "Sweep") -> None:
         )
     if work.loads is not None and not isinstance(work.loads, Loads):
         raise InputError(f"sweep: loads must be Loads, as in Loads(tip_force=(0.0, -1.0)), got {work.loads!r}")
+    check_numbers("sweep: base_tension", jax.tree.leaves(work.base_tension))
     if work.memory is not None and not (isinstance(work.memory, int | float) and work.memory > 0):
         raise InputError(f"sweep: memory must be a number of bytes above 0, as in memory=2e9, got {work.memory!r}")
     if work.chunk_size is not None and (not isinstance(work.chunk_size, int) or work.chunk_size < 1):
