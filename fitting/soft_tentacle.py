@@ -1,4 +1,4 @@
-"""Study: a measured body, a conical silicone tentacle that hangs from its base (../shared/data/soft_tentacle).
+"""Study: a measured body, a conical silicone tentacle that hangs from its base (data/soft_tentacle).
 
 The data are 22 poses under gravity, with four markers each. Fourteen have one tendon pulled. Eight have two pulled,
 and leave every plane. Each fit has one modulus for all its poses. Nobody measured a tension at the tip. Errors below
@@ -39,7 +39,7 @@ from cddf_jax.figures import looks, style as draw
 from cddf_jax.files.writing import as_json, write_all
 from cddf_jax.measurements.readings import kind_of
 
-TABLE = Path(__file__).resolve().parents[2] / "shared/data/soft_tentacle/tension_markers.csv"
+TABLE = Path(__file__).resolve().parents[1] / "data/soft_tentacle/tension_markers.csv"
 ROBOT = Path(__file__).with_suffix(".toml")
 OUT = "out/fitting/soft_tentacle"
 COLUMNS = {

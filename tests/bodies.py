@@ -14,7 +14,7 @@ from scipy.integrate import quad
 
 import cddf_jax as cddf
 
-# design.md section 3: the paper's manipulator, Liu et al. (2020), section IV
+# docs/theory.md (16): the paper's manipulator, Liu et al. (2020), section IV
 PAPER = {
     "length": 0.14,
     "outer_radius": (0.020, 0.013),
@@ -231,11 +231,11 @@ class PlainBody:
         return np.pi / 4 * (self.outer_radius(s) ** 4 - self.inner_radius(s) ** 4)
 
     def compliance(self, s: float) -> float:
-        """G(s) of design.md section 3, by adaptive quadrature."""
+        """G(s) of docs/theory.md (16), by adaptive quadrature."""
         return quad(lambda x: self.offsets[0](x) / self.second_moment(x), 0, s, epsabs=0, epsrel=1e-13, limit=200)[0]
 
     def closed_form(self, base_tension: float, s: float) -> float:
-        """T(s) of one tendon that slides in, design.md section 3."""
+        """T(s) of one tendon that slides in, docs/theory.md (16)."""
         return base_tension / (1 + self.friction[0] / self.youngs_modulus * base_tension * self.compliance(s))
 
 

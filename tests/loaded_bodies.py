@@ -1,6 +1,6 @@
 """Bodies under dead loads, from NumPy and SciPy alone: no line here uses the library's mechanics.
 
-Model: ../shared/design.md section 2. N(s) = F + int_s^L rho A g; M_ext' = -(t x N), M_ext(L) = m;
+Model: docs/theory.md. N(s) = F + int_s^L rho A g; M_ext' = -(t x N), M_ext(L) = m;
 published: E J kappa = sum sigma d T q + M_ext, theta' = |kappa / q|, q = 1 - sigma d kappa;
 exact: E J kappa = sum sigma d T q / sqrt(q^2 + d'^2) + M_ext, theta = turning of psi = phi + atan2(sigma d', q).
 """
@@ -17,7 +17,7 @@ from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 
 
 class PlainLoads(NamedTuple):
-    """Dead loads in the fixed frame, design.md section 2: F (N), m (N m), g (m/s^2)."""
+    """Dead loads in the fixed frame, docs/theory.md: F (N), m (N m), g (m/s^2)."""
 
     tip_force: tuple[float, float] = (0.0, 0.0)
     tip_moment: float = 0.0
@@ -83,7 +83,7 @@ def loaded_reference(
     rtol: float = 1e-11,
     aim: float = 1e-12,
 ) -> LoadedReference:
-    """Equilibrium at constant base tensions, design.md section 2, by shooting on M_ext(0).
+    """Equilibrium at constant base tensions, docs/theory.md, by shooting on M_ext(0).
 
     The tensions come first (M_ext(0) = 0 without loads), then the loads grow from 0 to 1. The steps
     are short enough for the tip to turn by less than half a radian, so that the branch is followed.
@@ -328,7 +328,7 @@ def bvp_reference(
 ) -> LoadedReference:
     """The same problem by collocation, for smooth bodies with constant offsets and all anchors at the tip.
 
-    Equations: design.md section 2, with the tensions as unknowns and M_ext as the moment of what lies
+    Equations: docs/theory.md, with the tensions as unknowns and M_ext as the moment of what lies
     outboard, M_ext = m + (u_L - u) x F + int_s^L rho A (u(xi) - u) x g, whose derivative is -(t x N).
     Below 2e-8 the intervals around a kink of |kappa| become too short for SciPy's residual, on some processors.
     """
@@ -456,7 +456,7 @@ def tangent(residual: Callable, kappa: np.ndarray) -> np.ndarray:
 def dense_residual(
     body: PlainBody, base_tension: Any, loads: PlainLoads, density: float, direction: Any, cells: int
 ) -> tuple[np.ndarray, Callable]:
-    """E J kappa_i - sum sigma d T_i (t_c . t) - M_ext,i at the middle s_i of equal cells, design.md section 2.
+    """E J kappa_i - sum sigma d T_i (t_c . t) - M_ext,i at the middle s_i of equal cells, docs/theory.md.
 
     One curvature per cell; tensions from the turning inboard, M_ext from the loads outboard. Second order
     in the width, first where a turn changes its sign in a jump. Slants, anchors and sections may vary;

@@ -86,7 +86,7 @@ def test_every_command_and_option_is_in_the_reference(site):
 
 
 def test_examples_end_in_the_numbers_that_they_name(site):
-    # the closed form of the tip tension at 75 N, and the tip of the exact kinematics: design.md, section 3
+    # the closed form of the tip tension at 75 N, and the tip of the exact kinematics: docs/theory.md (16)
     assert "45.1229" in site["index.html"].text
     assert "(117.344, 60.282) mm" in site["index.html"].text
     # what was simulated, data/README.md: tensions alone tell mu / E = 0.42 / 1.4e6 only

@@ -234,7 +234,7 @@ print(*sys.modules)
 
 
 def test_every_public_name_is_there_and_no_module_bears_it():
-    """A lazily exported function named like its module turns into the module on second access, design.md section 6."""
+    """A lazily exported function named like its module turns into the module on second access."""
     modules = {path.stem for path in SOURCE.iterdir()}
     assert not set(cddf.__all__) & modules
     for name in cddf.__all__:

@@ -15,7 +15,7 @@ from places import ROOT
 
 import cddf_jax as cddf
 
-G = 2.942783188998e4  # int_0^L d/J ds of the paper's body, m^-2, design.md section 3
+G = 2.942783188998e4  # int_0^L d/J ds of the paper's body, m^-2, docs/theory.md (16)
 BOTH = ("friction_coefficient", "youngs_modulus")
 STATUS = {
     "pulley": ("identified", "fixed"),
@@ -53,7 +53,7 @@ def test_the_readme_shows_what_its_first_block_prints(readme):
     ratio = 0.42 / 1.4e6 * 75.0 * G
     assert f"tip tension {75.0 / (1 + ratio):.4f} N" in shown
     assert f"dT_tip/dmu = {-75.0 * ratio / 0.42 / (1 + ratio) ** 2:.3f} N" in shown
-    assert "(117.344, 60.282) mm" in shown  # the tip in the exact kinematics, design.md section 3
+    assert "(117.344, 60.282) mm" in shown  # the tip in the exact kinematics, docs/theory.md (16)
 
 
 def test_the_sweep_of_the_readme(readme):

@@ -17,7 +17,7 @@ CELL_FLOOR, CELL_FRACTION, GAIN, BASE_SD, ANGLE_SD, SCATTER = 0.1, 0.01, 1.001, 
 
 
 def compliance() -> float:
-    """G(L), the integral of d / J along the paper's cone; design.md section 3 gives 2.942783188998e4 m^-2."""
+    """G(L), the integral of d / J along the paper's cone; docs/theory.md (16) gives 2.942783188998e4 m^-2."""
 
     def d_over_j(s):
         return D / (np.pi / 4 * ((0.020 - 0.007 * s / 0.14) ** 4 - 0.007**4))
@@ -84,14 +84,14 @@ def test_kinematics_levels_and_trials(name, kinematics, levels, trials):
 
 
 def test_load_cells_are_true():
-    assert compliance() == pytest.approx(2.942783188998e4, rel=1e-12)  # design.md section 3
+    assert compliance() == pytest.approx(2.942783188998e4, rel=1e-12)  # docs/theory.md (16)
     assert_standard_normal(standardised_tip_tension(read_measurements(DATA / "load_cells_simulated.csv")))
 
 
 def test_tip_angles_are_true():
     table = read_measurements(DATA / "tip_angle_simulated.csv")
     assert_standard_normal(standardised_tip_tension(table))
-    # constant offset, exact kinematics: tip angle = ln(T_base / T_tip) / mu, design.md section 4
+    # constant offset, exact kinematics: tip angle = ln(T_base / T_tip) / mu, docs/identifiability.md
     base = table["base_tension"]
     truth = np.log(base / tip_tension(base)) / MU
     slope = tip_tension(base) * compliance() / (E * base)  # dangle / dT_base
@@ -101,7 +101,7 @@ def test_tip_angles_are_true():
 
 
 def test_a_loop_is_true():
-    """1/T at the tip is a play of 1/T_base, clipped at 1/T_base -+ g; closed forms of hysteresis.md section 2."""
+    """1/T at the tip is a play of 1/T_base, clipped at 1/T_base -+ g; closed forms of docs/hysteresis.md."""
     table = read_measurements(DATA / "loop_simulated.csv")
     up = np.arange(5.0, 86.0, 5.0)
     levels, g, first = np.concatenate([up, up[-2::-1]]), MU / E * compliance(), 1 / 85.0

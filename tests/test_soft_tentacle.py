@@ -26,9 +26,6 @@ ERROR = {"published": 8.9e-3, "exact": 9.8e-3}  # m
 ROBOT, _, _, GRAVITY = cddf.read_robot_file(STUDY.ROBOT)
 SETTING = STUDY.setting_of(GRAVITY)
 
-if not STUDY.TABLE.exists():
-    pytest.skip(f"the measured data are not here: {STUDY.TABLE}", allow_module_level=True)
-
 
 @pytest.fixture(scope="module")
 def poses():

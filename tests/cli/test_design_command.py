@@ -216,7 +216,7 @@ value = "30 deg"
 
 @pytest.mark.slow
 def test_a_body_without_radii_is_designed_and_drawn(task, tmp_path, monkeypatch):
-    """The angle is ln(1 + mu T d L / (E I)) / mu, design.md section 4; profile and diameters are not known."""
+    """The angle is ln(1 + mu T d L / (E I)) / mu, docs/identifiability.md; profile and diameters are not known."""
     kept, drawn = [], style.render
 
     def keeping(figure, name):

@@ -19,7 +19,7 @@ LOADS = ("--tip-force", "0 N, -5 N", "--tip-moment", "0.1 N m", "--gravity", "0,
 def test_solve_in_words(cddf_command):
     code, out, err = cddf_command("solve", PAPER, "-t", "75 N")
     assert (code, err) == (0, "")
-    # design.md section 3, published kinematics: (120.39593, 57.00182) mm, 63.16687 degrees, 45.1229 N, 39.84 %
+    # docs/theory.md (16), published kinematics: (120.39593, 57.00182) mm, 63.16687 degrees, 45.1229 N, 39.84 %
     assert "tip at (120.396, 57.002) mm, 63.167 deg" in out
     assert "tendon 1: tip tension 45.1229 N, loss 39.84 %" in out
     assert "successful" in out
@@ -32,13 +32,13 @@ def test_solve_in_json_is_what_the_library_says(answer_of):
     assert (answer.pop("remarks"), answer.pop("self_contact")) == ([], None)
     for name in set(answer) - {"result"}:
         np.testing.assert_allclose(answer[name], getattr(equilibrium, name), rtol=1e-12, err_msg=name)
-    assert answer["tip_tension"] == pytest.approx([45.122927013148], rel=1e-8)  # design.md section 3
+    assert answer["tip_tension"] == pytest.approx([45.122927013148], rel=1e-8)  # docs/theory.md (16)
     assert {"arc_length", "curvature", "heading", "position", "tension", "normal_force"} <= set(answer)
 
 
 def test_kinematics_instead_of_the_files(answer_of):
     answer = answer_of("solve", PAPER, "-t", "75 N", "--kinematics", "exact")
-    assert np.degrees(answer["tip_angle"]) == pytest.approx(69.31393, abs=1e-5)  # design.md section 3
+    assert np.degrees(answer["tip_angle"]) == pytest.approx(69.31393, abs=1e-5)  # docs/theory.md (16)
     np.testing.assert_allclose(answer["tip_position"], [0.11734384, 0.06028179], atol=1e-8)
 
 
@@ -46,7 +46,7 @@ def test_kinematics_instead_of_the_files(answer_of):
 def test_two_tendons_and_their_directions(answer_of, two_tendons):
     tensions = ("--base-tension", "75 N", "--base-tension", "20 N")
     answer = answer_of("solve", two_tendons, *tensions, "--direction", "1", "--direction", "-1")
-    # design.md section 2: 45.9 degrees and 28.0 N with the right signs, 54.0 degrees and 13.5 N with both "in"
+    # docs/theory.md: 45.9 degrees and 28.0 N with the right signs, 54.0 degrees and 13.5 N with both "in"
     assert np.degrees(answer["tip_angle"]) == pytest.approx(45.9, abs=0.05)
     assert answer["tip_tension"][1] == pytest.approx(28.0, abs=0.05)
     assert answer["direction_contradicted"] == [False, False]
@@ -92,7 +92,7 @@ def test_a_warning_in_words(cddf_command, two_tendons):
 def test_a_tendon_without_tension(cddf_command, two_tendons):
     code, out, _ = cddf_command("solve", two_tendons, "-t", "75 N", "-t", "0 N", "--direction", "1", "--direction=-1")
     assert code == 0
-    # a tendon parallel to the axis travels d phi = 10 mm * 69.31393 degrees (design.md section 3), the other way here
+    # a tendon parallel to the axis travels d phi = 10 mm * 69.31393 degrees (docs/theory.md (16)), the other way here
     assert "tendon 2: no tension, pulled in -12.098 mm" in out
 
 
@@ -154,7 +154,7 @@ def test_what_is_not_stable_is_shown_and_fails(cddf_command, heavy):
 
 # --- targets -------------------------------------------------------------------------------------
 
-G = 2.942783188998e4  # m^-2, G(L) of design.md section 3
+G = 2.942783188998e4  # m^-2, G(L) of docs/theory.md (16)
 
 
 def section(s):

@@ -24,7 +24,7 @@ from cddf_jax.reports import sweep_report
 from cddf_jax.sweeping import export as sweep_exports
 
 PAPER = DATA / "smooth_sil_940.toml"
-LENGTH, G = 0.14, 2.942783188998e4  # m, m^-2, design.md section 3
+LENGTH, G = 0.14, 2.942783188998e4  # m, m^-2, docs/theory.md (16)
 TENSIONS = ("--over", "base_tension=5N:85N:5")
 FRICTIONS = ("--over", "friction_coefficient=0.1:0.6:4")
 

@@ -1,6 +1,6 @@
 """Designs against closed forms, brute force and each other.
 
-Exact kinematics, constant d, one tendon that slides in (design.md sections 2 and 3): T = T_base exp(-mu phi) and
+Exact kinematics, constant d, one tendon that slides in (docs/theory.md, (13) and (16)): T = T_base exp(-mu phi) and
 E J kappa = T d, so that phi(L) = ln(1 + mu T_base d H / E) / mu with H = int_0^L ds / J.
 """
 
@@ -46,7 +46,7 @@ def limit_of(design, name, side="most"):
     return next(report for report in design.limits if (report.name, report.side) == (name, side))
 
 
-# --- uniform curvature, design.md section 5 ------------------------------------------------------
+# --- uniform curvature ------------------------------------------------------
 
 
 @lru_cache
@@ -65,7 +65,7 @@ def uniform(kinematics, thinnest=0.0105, starts=1):
 @pytest.mark.slow
 @one_kinematics_at_once
 def test_uniform_curvature_has_the_analytic_radius(kinematics):
-    """Exact: J = T d exp(-mu kappa s) / (E kappa), design.md section 5.
+    """Exact: J = T d exp(-mu kappa s) / (E kappa).
 
     Published, section 3: the tendon's curvature kappa_c = kappa / (1 - d kappa) = T(s) d / (E J) turns it by kappa_c s,
     so J = T d (1 - d kappa) exp(-mu kappa s / (1 - d kappa)) / (E kappa).
@@ -134,7 +134,7 @@ def flat():
 
 @pytest.mark.slow
 def test_the_loss_at_a_given_angle_does_not_depend_on_the_taper():
-    """design.md section 4: 1 - exp(-mu theta), whatever the body, so that there is nothing to gain."""
+    """docs/identifiability.md: 1 - exp(-mu theta), whatever the body, so that there is nothing to gain."""
     found, loss = flat(), -np.expm1(-MU * 0.8)
     assert found.result == "undetermined: no free number changes the objective"
     assert not found.success

@@ -4,7 +4,7 @@ A straight tube of constant stiffness. Its own closed forms, with the torsional 
 Poisson's ratio of 0.5:
 
 Parallel tendon: what turns is P = T_base d / (E J), and the angle to the base phi(s) = ln(1 + mu P s) / mu in the plane
-at the angle of the tendon, as in the plane (design.md section 2).
+at the angle of the tendon, as in the plane (docs/theory.md).
 
 Helix: in the frame that winds with the tendon the strain has two components, twist u and bending b about the binormal,
 2 G J u = -T d sin(theta) and E J b = T d cos(theta). The tendon rises by theta: tan(theta) = d (u + w) / (1 - d b).

@@ -1,4 +1,4 @@
-"""The width of the loop of the tip angle, against closed forms (hysteresis.md section 2).
+"""The width of the loop of the tip angle, against closed forms (docs/hysteresis.md).
 
 Exact kinematics, constant d, one tendon, g = mu d H / E with H = int_0^L ds / J. Pulled up from a low tension, and all
 slid in, mu phi = ln(1 + g T). On the way down from T_max, with the front inside,

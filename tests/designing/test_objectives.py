@@ -1,6 +1,6 @@
 """Means along bodies with joints and anchored tendons, against SciPy's integrals between these.
 
-Exact kinematics, constant d, one tendon (design.md sections 2 and 3): T(s) = T_base / (1 + mu T_base d h(s) / E) with
+Exact kinematics, constant d, one tendon (docs/theory.md, (16)): T(s) = T_base / (1 + mu T_base d h(s) / E) with
 h(s) = int_0^s dx / J, and kappa = T d / (E J) up to the anchor.
 """
 

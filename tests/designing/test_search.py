@@ -1,6 +1,6 @@
 """Searches that begin where the objective has no slope: a bore of radius 0, no tension.
 
-A solid rod with a tendon outside, exact kinematics (design.md sections 2 and 3): to turn the tip by phi it takes
+A solid rod with a tendon outside, exact kinematics (docs/theory.md, (13) and (16)): to turn the tip by phi it takes
 T = E (exp(mu phi) - 1) / (mu d H), H = int_0^L ds / J, and J = pi / 4 (R^4 - r^4) has no slope at r = 0.
 """
 

@@ -1,16 +1,16 @@
 """Certified answers of NIST, and far starts from which the minimum is found."""
 
 from functools import cache
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from places import SHARED
 from scipy import optimize
 
 from cddf_jax.estimation.least_squares import least_squares_fit
 
-NIST = SHARED / "data" / "nist"
+NIST = Path(__file__).parent / "nist"
 
 
 # --- problems with certified answers -------------------------------------------------------------
@@ -37,10 +37,7 @@ class Problem:
     """One NIST file: starts, certified values and deviations, data."""
 
     def __init__(self, name):
-        path = NIST / f"{name}.dat"
-        if not path.exists():
-            pytest.skip(f"the NIST problems are not there: no {path.name} in ../shared/data/nist")
-        lines = path.read_text().splitlines()
+        lines = (NIST / f"{name}.dat").read_text().splitlines()
         table = [line.split("=")[1].split() for line in lines[40:60] if line.strip().startswith("b")]
         self.start1, self.start2, self.value, self.deviation = np.array(table, dtype=float).T
         self.y, self.x = np.array([line.split() for line in lines[60:] if line.strip()], dtype=float).T

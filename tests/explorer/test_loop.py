@@ -1,4 +1,4 @@
-"""The loops that the explorer draws, against hysteresis.md and `trace` along the whole path."""
+"""The loops that the explorer draws, against docs/hysteresis.md and `trace` along the whole path."""
 
 from dataclasses import replace
 
@@ -31,7 +31,7 @@ def found(one):
 
 
 def test_the_loop_is_that_of_the_table(found):
-    """hysteresis.md section 2, 40 N on the way back from 75 N: tip tension, angle and front to its digits."""
+    """docs/hysteresis.md, 40 N on the way back from 75 N: tip tension, angle and front to its digits."""
     assert found.status == cddf.Status.successful
     assert found.base_tension[0] == 75.0
     assert found.tip_tension[-1] == pytest.approx(45.122927, abs=6e-7)
@@ -75,7 +75,7 @@ def test_the_loop_is_drawn_and_taken_away(found, one):
 
 @pytest.mark.slow
 def test_one_tendon_in_space_is_remembered(one):
-    """A tendon at 0 degrees bends the body as it does in the plane: hysteresis.md section 2, 60 N."""
+    """A tendon at 0 degrees bends the body as it does in the plane: docs/hysteresis.md, 60 N."""
     explored = Exploration(replace(one.manipulator, tendons=(cddf.Tendon(0.010, angle=0.0),)))
     _, found = loop_after(explored, {FIRST: 60.0})
     assert found.tip_tension[-1] == pytest.approx(45.122927, abs=6e-7)

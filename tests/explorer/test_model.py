@@ -43,7 +43,7 @@ def picture(explored, settings):
 
 @pytest.fixture(scope="module")
 def other_body():
-    """The same body in plain numbers, for the closed form of design.md section 3."""
+    """The same body in plain numbers, for the closed form of docs/theory.md (16)."""
     return paper_plain("exact", outer_radius=straight(0.018, 0.015, PAPER["length"]))
 
 
@@ -52,7 +52,7 @@ def test_the_picture_is_the_closed_form(picture, other_body):
     assert picture.message == ""
     tip = other_body.closed_form(60.0, PAPER["length"])
     assert picture.equilibrium.tip_tension[0] == pytest.approx(tip, rel=1e-10)
-    # design.md section 4: in the exact kinematics with a constant offset the tip angle is ln(T_base / T_tip) / mu
+    # docs/identifiability.md: in the exact kinematics with a constant offset the tip angle is ln(T_base / T_tip) / mu
     assert picture.equilibrium.tip_angle == pytest.approx(np.log(60.0 / tip) / 0.42, rel=1e-10)
     # kappa = T d / (E J) where T is known; the thin end bends most
     curvature = tip * 0.010 / (1.4e6 * other_body.second_moment(PAPER["length"]))
@@ -70,7 +70,7 @@ def test_the_curve_is_the_closed_form(explored, picture, other_body):
 
 
 def test_what_another_taper_does(explored, settings, other_body):
-    """With G of design.md section 3 the angle theta needs T_base = (exp(mu theta) - 1) E / (mu G)."""
+    """With G of docs/theory.md (16) the angle theta needs T_base = (exp(mu theta) - 1) E / (mu G)."""
     own, new = explored.tapers(settings, 0.8)
     for taper, body in ((own, paper_plain("exact")), (new, other_body)):
         compliance = body.compliance(PAPER["length"])
@@ -106,7 +106,7 @@ def test_numbers_are_rounded_to_what_the_interval_tells(value, low, high, told):
 
 
 def test_rows_that_no_curve_holds_are_solved_as_they_were_measured():
-    """In: T / (1 + m T G), out: T / (1 - m T G), design.md section 3, the body as it is set."""
+    """In: T / (1 + m T G), out: T / (1 - m T G), docs/theory.md (16), the body as it is set."""
     base, way = np.array([20.0, 40.0, 40.0, 20.0]), np.array([1.0, 1.0, -1.0, -1.0])
     read = {"tip_tension": base, "tip_angle": 0.01 * base}
     table = cddf.Measurements.from_columns("bench", base_tension=base, direction=way, **read)
@@ -166,7 +166,7 @@ def test_loads_and_directions_reach_the_solver(explored):
 
 
 def test_directions_are_found_unless_they_are_stated():
-    """design.md section 2: the antagonist at 20 N slides out, 45.9 degrees and 28.0 N; both in would give 54.0."""
+    """docs/theory.md: the antagonist at 20 N slides out, 45.9 degrees and 28.0 N; both in would give 54.0."""
     explored = Exploration(paper_body("exact", num_tendons=2))
     numbers = {**explored.start.numbers, "base_tension_1": 75.0, "base_tension_2": 20.0}
     found = explored.picture(explored.case(explored.start._replace(numbers=numbers)))

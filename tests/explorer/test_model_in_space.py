@@ -1,4 +1,4 @@
-"""The explorer's model and rows of bodies in space, against space.md section 2 and what is plain geometry."""
+"""The explorer's model and rows of bodies in space, against docs/space.md and what is plain geometry."""
 
 from dataclasses import replace
 
@@ -107,7 +107,7 @@ def test_tables_were_measured_under_the_gravity_of_the_file(monkeypatch):
 
 @pytest.mark.slow
 def test_the_picture_of_two_tendons_is_that_of_the_table():
-    """space.md section 2, tendons at 0 and 90 degrees, 40 and 20 N; 10 digits."""
+    """docs/space.md, tendons at 0 and 90 degrees, 40 and 20 N; 10 digits."""
     table = Measurements.from_columns(
         "tips",
         **{"base_tension": [40.0], "base_tension_2": [20.0], "tip_x": [0.13], "tip_y": [0.036], "tip_z": [0.018]},
@@ -146,7 +146,7 @@ def test_the_picture_of_two_tendons_is_that_of_the_table():
 
 @pytest.mark.slow
 def test_a_force_out_of_the_plane_is_that_of_the_table():
-    """space.md section 2, one tendon at 40 N and 0.5 N along z at the tip."""
+    """docs/space.md, one tendon at 40 N and 0.5 N along z at the tip."""
     explored = Exploration(turned(0.0))
     numbers = {**explored.start.numbers, "base_tension_1": 40.0, "tip_force.2": 0.5}
     case = explored.case(explored.start._replace(numbers=numbers))
@@ -158,7 +158,7 @@ def test_a_force_out_of_the_plane_is_that_of_the_table():
 
 @pytest.mark.slow
 def test_the_curve_of_a_helix_is_that_of_the_table():
-    """space.md section 2, helix of half a turn at 75 N."""
+    """docs/space.md, helix of half a turn at 75 N."""
     explored = Exploration(cddf.read_manipulator(DATA / "helix_made_up.toml"))
     curve = explored.curve(explored.case(explored.start))
     at = np.flatnonzero(curve.base_tension == 75.0)

@@ -146,7 +146,7 @@ def test_exact_numbers_are_typed(page):
 
 
 def test_the_way_back_is_remembered_and_forgotten(page):
-    """hysteresis.md section 2: 75, then 40 N; another body goes the same way, and the button makes it forget."""
+    """docs/hysteresis.md: 75, then 40 N; another body goes the same way, and the button makes it forget."""
     page.get_by_text("Drag the base tension back").wait_for()
     type_number(page, "base_tension_1", "40")
     wait_for(page, "past_tip_tension_1", "45.1229")
@@ -252,7 +252,7 @@ def test_a_bad_file_changes_nothing(page, tmp_path):
 
 
 def test_what_the_data_do_not_tell_is_no_number(page):
-    """Tensions of one tendon hold mu / E alone, design.md section 4: 0.42 / 1.4 MPa within its interval."""
+    """Tensions of one tendon hold mu / E alone, docs/identifiability.md: 0.42 / 1.4 MPa within its interval."""
     page.locator("input[type=file]").nth(1).set_input_files(CELLS)
     page.get_by_text("load_cells_simulated.csv").first.wait_for()
     told = fit_on(page)

@@ -79,7 +79,7 @@ def test_where_there_is_no_loop_the_reason_is_said(one, pair):
 
 
 def test_rows_of_a_measured_loop_know_their_past():
-    """hysteresis.md section 2: tip tensions on the way back to the digits of the table."""
+    """docs/hysteresis.md: tip tensions on the way back to the digits of the table."""
     base, tip = [75.0, 60.0, 40.0, 20.0], [45.122927, 45.122927, 45.122927, 24.288558]
     table = Measurements.from_columns("loop", base_tension=base, tip_tension=tip, step=[1, 2, 3, 4])
     body = paper_body("exact")

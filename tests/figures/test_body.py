@@ -18,7 +18,7 @@ from cddf_jax.figures.looks import CURVES, PALE
 LENGTH, END = 0.36, 0.305
 LOADS = cddf.Loads(tip_force=(-0.02, 0.05), tip_moment=-0.004, gravity=(9.81, 0.0))
 RADIUS = np.array([0.01541, 0.00642, 0.0048])
-# as the body of ../shared/data/soft_tentacle, solid and with a passive tip link; its tendons run in parallel here
+# as the body of fitting/soft_tentacle.toml, solid and with a passive tip link; its tendons run in parallel here
 LINK = cddf.Manipulator(
     length=LENGTH,
     outer_radius=cddf.Piecewise.linear([0.0, END, LENGTH], RADIUS),

@@ -308,7 +308,7 @@ offset = { base = "11.4 mm", tip = "2.4025 mm", length = "305 mm" }
 end = "305 mm"
 axial_stiffness = "12 kN"
 free_length = "200 mm"
-"""  # ../shared/data/soft_tentacle: radius 15.41 to 6.42 mm over 305 mm, then a link to 4.80 mm without tendons
+"""  # fitting/soft_tentacle.toml: radius 15.41 to 6.42 mm over 305 mm, then a link to 4.80 mm without tendons
 
 
 def test_a_passive_tip_link(tmp_path):

@@ -1,6 +1,6 @@
 """`trace` of several tendons and of loads, followed in short steps.
 
-The expected values are those of `hysteresis.md` (sections 2 and 3: an independent time-stepping simulation), of `solve`
+The expected values are those of an independent time-stepping simulation (`docs/hysteresis.md`), of `solve`
 where every tendon slides one way, of the exact `trace` of one tendon, and properties.
 """
 

@@ -318,7 +318,7 @@ def test_a_push_after_a_history_is_refused():
 
 @pytest.mark.slow
 def test_a_tendon_that_stretches_on_a_rigid_arc():
-    """`hysteresis.md`, section 2: a play in ln T against mu theta, with the numbers of an independent derivation.
+    """docs/hysteresis.md: a play in ln T against mu theta, with the numbers of an independent derivation.
 
     A quarter of a circle of 0.1 m, E A = 1e4 N. Pulled to T, the stretch is T R (1 - exp(-mu pi / 2)) / (mu E A).
     """

@@ -1,4 +1,4 @@
-"""Which measurement next: expected errors against fits of simulated data, and the cases of design.md section 4."""
+"""Which measurement next: expected errors against fits of simulated data, and the cases of docs/identifiability.md."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from cddf_jax.measurements.table import Measurements
 
 LEVELS = 85.0 * np.arange(1, 7) / 6
 RATIO = "friction_coefficient / youngs_modulus"
-COMPLIANCE = 2.942783188998e4  # G(L) of the paper's body, m^-2, design.md section 3
+COMPLIANCE = 2.942783188998e4  # G(L) of the paper's body, m^-2, docs/theory.md (16)
 TENSIONS = Candidate("tensions", {"base_tension": LEVELS}, {"tip_tension": 1.0})
 PULLEY = Candidate("pulley", {"wrap_angle": [1.0, 2.0, 3.0], "weight": 10.0}, {"pulling_tension": 0.5})
 ANGLES = Candidate("angles", {"base_tension": LEVELS}, {"tip_angle": np.radians(1.0)})
@@ -69,7 +69,7 @@ def test_a_pulley_test_determines_only_the_friction(planned):
 
 
 def test_positions_determine_both(planned):
-    """design.md section 4: with 1 mm and 1 N over 6 levels mu to about 3 %, E to about 1 %."""
+    """docs/identifiability.md: with 1 mm and 1 N over 6 levels mu to about 3 %, E to about 1 %."""
     told = ranked(planned, "positions").expected
     assert told.standard_error["friction_coefficient"] / MU == pytest.approx(0.03, abs=0.005)
     assert told.standard_error["youngs_modulus"] / E == pytest.approx(0.01, abs=0.002)
@@ -77,7 +77,7 @@ def test_positions_determine_both(planned):
 
 @pytest.mark.slow
 def test_a_tip_weight_hardly_helps():
-    """design.md section 4: singular values 320 to 470 apart, standard errors of 5 to 7 in the logarithm at 1 N."""
+    """docs/identifiability.md: singular values 320 to 470 apart, standard errors of 5 to 7 in the logarithm at 1 N."""
     told = cddf.plan(paper_body("exact"), [WEIGHT]).ranking[0].expected
     assert set(told.status.values()) == {"not identified"}
     assert 320 < told.condition_number < 470

@@ -17,7 +17,7 @@ from cddf_jax.measurements.table import Measurements
 MU, E = 0.42, 1.4e6  # data/README.md: the truth of every set
 RATIO = "friction_coefficient / youngs_modulus"
 BOTH = ("friction_coefficient", "youngs_modulus")
-COMPLIANCE = 2.942783188998e4  # G(L) of the paper's body, m^-2, design.md section 3
+COMPLIANCE = 2.942783188998e4  # G(L) of the paper's body, m^-2, docs/theory.md (16)
 PAPER = cddf.read_manipulator(DATA / "smooth_sil_940.toml")
 LOAD_CELLS = cddf.read_measurements(DATA / "load_cells_simulated.csv")
 PULLEY = cddf.read_measurements(DATA / "pulley_simulated.csv")
@@ -25,12 +25,12 @@ LEVELS = np.arange(5.0, 86.0, 5.0)  # as in Fig. 8; tables of one size and name 
 
 
 def closed_form(base_tension, mu=MU, modulus=E, direction=+1):
-    """Tip tension, design.md section 3; for a tendon that slides out the friction has the other sign."""
+    """Tip tension, docs/theory.md (16); for a tendon that slides out the friction has the other sign."""
     return base_tension / (1 + direction * mu / modulus * base_tension * COMPLIANCE)
 
 
 def wrap(base_tension, mu=MU, modulus=E, direction=+1):
-    """Tip angle in the exact kinematics: ln(T_base / T_tip) / mu, design.md section 4."""
+    """Tip angle in the exact kinematics: ln(T_base / T_tip) / mu, docs/identifiability.md."""
     return np.log(base_tension / closed_form(base_tension, mu, modulus, direction)) / (direction * mu)
 
 
@@ -206,7 +206,7 @@ def test_prior_on_the_modulus(ratio_by_scipy):
 
 @pytest.mark.slow
 def test_slanted_tendon_in_practice():
-    """Of an offset from 12 to 9 mm the two are separate in theory and not in practice, design.md section 4.
+    """Of an offset from 12 to 9 mm the two are separate in theory and not in practice, docs/identifiability.md.
 
     With 0.3 N of noise on 3 x 4 pairs chi-square changes by less than 1 from mu = 0.06 to mu = 1 when E follows:
     no interval of the likelihood closes, although the curvature at the minimum suggests one.

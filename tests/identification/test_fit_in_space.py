@@ -322,7 +322,7 @@ def test_the_direction_of_gravity_and_a_known_cell():
 
 # --- tip angles that no body in space can have -----------------------------------------------------
 
-# simulated with mu 0.2 and E 10 MPa, ../shared/cases/angle_in_space: 198 deg fold to 162 deg between the axes
+# simulated with mu 0.2 and E 10 MPa, an independent code: 198 deg fold to 162 deg between the axes
 TENSIONS, ANGLES = [2.0, 5.0, 10.0, 15.0, 20.0], [27.01, 62.63, 116.60, 160.54, 198.10]
 ROD = dataclasses.replace(paper_body("exact"), tendons=(cddf.Tendon(offset=2.5e-3, angle=0.0),))
 

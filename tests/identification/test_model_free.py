@@ -16,7 +16,7 @@ from cddf_jax.measurements.table import Measurements, read_measurements
 
 MU = 0.42
 BASE = np.tile(np.arange(10.0, 81.0, 10.0), 3)
-ANGLE = np.log1p(MU / 1.4e6 * 2.942783188998e4 * BASE) / MU  # closed form of the paper's body, design.md section 3
+ANGLE = np.log1p(MU / 1.4e6 * 2.942783188998e4 * BASE) / MU  # closed form of the paper's body, docs/theory.md (16)
 NOISE = {"base_tension": 0.05, "tip_tension": 0.2, "tip_angle": np.radians(0.5)}
 REPLICATES = 2000
 

@@ -1,4 +1,4 @@
-"""Every solver's oracle: the closed form of design.md section 3, and the numbers printed there."""
+"""Every solver's oracle: the closed form of docs/theory.md (16), and the numbers printed there."""
 
 from dataclasses import replace
 
@@ -29,9 +29,9 @@ import cddf_jax as cddf
 
 TENSION_ACCURACY = 1e-8  # relative; issue 2, section 3
 POSITION_ACCURACY = 1e-7  # per length; issue 2, section 3
-PRINTED = 5e-13  # design.md prints 12 decimals
+PRINTED = 5e-13  # docs/theory.md prints 12 decimals
 
-# design.md section 3: tip tension (N) at 5, 10, 25, 50, 75, 85 N
+# docs/theory.md (16): tip tension (N) at 5, 10, 25, 50, 75, 85 N
 BASE_TENSIONS = np.array([5.0, 10.0, 25.0, 50.0, 75.0, 85.0])
 TIP_TENSIONS = np.array(
     [4.788621861321, 9.188782187535, 20.479905810209, 34.688076668284, 45.122927013148, 48.560059601631]
@@ -124,7 +124,7 @@ def test_closed_form_is_the_formula(draw):
 
 @pytest.mark.parametrize("kinematics", ["published", "exact"])
 def test_printed_tip_tensions(kinematics):
-    """design.md section 3 prints them for the paper's body; they are the same in both kinematics."""
+    """docs/theory.md (16) prints them for the paper's body; they are the same in both kinematics."""
     body = paper_body(kinematics)
     closed = [cddf.closed_form_tension(body, tension, 0.14) for tension in BASE_TENSIONS]
     np.testing.assert_allclose(closed, TIP_TENSIONS, atol=PRINTED, rtol=1e-14)
@@ -133,7 +133,7 @@ def test_printed_tip_tensions(kinematics):
 
 
 def test_printed_compliance():
-    """design.md section 3: G(L) = 2.942783188998e4 m^-2."""
+    """docs/theory.md (16): G(L) = 2.942783188998e4 m^-2."""
     np.testing.assert_allclose(paper_plain().compliance(0.14), 2.942783188998e4, atol=5e-9, rtol=0)
 
 
@@ -142,7 +142,7 @@ def test_printed_compliance():
     [("published", 120.39593, 57.00182, 63.16687), ("exact", 117.34384, 60.28179, 69.31393)],
 )
 def test_printed_tip_poses(kinematics, x, y, angle):
-    """design.md section 3: mm and degrees at 75 N, five decimals."""
+    """docs/theory.md (16): mm and degrees at 75 N, five decimals."""
     solution = cddf.solve(paper_body(kinematics), 75.0)
     np.testing.assert_allclose(solution.tip_position * 1e3, [x, y], atol=0.6e-5)
     np.testing.assert_allclose(np.degrees(solution.tip_angle), angle, atol=0.6e-5)
@@ -153,7 +153,7 @@ def test_printed_tip_poses(kinematics, x, y, angle):
     ("direction", "angle", "antagonist"), [((+1, +1), 54.0, 13.5), ((+1, -1), 45.9, 28.0)], ids=["both in", "one out"]
 )
 def test_printed_pair_of_tendons(direction, angle, antagonist):
-    """design.md section 2: 75 N against 20 N in the exact kinematics, one decimal."""
+    """docs/theory.md: 75 N against 20 N in the exact kinematics, one decimal."""
     solution = cddf.solve(paper_body("exact", num_tendons=2), (75.0, 20.0), direction=direction)
     np.testing.assert_allclose(np.degrees(solution.tip_angle), angle, atol=0.05)
     np.testing.assert_allclose(solution.tip_tension[1], antagonist, atol=0.05)

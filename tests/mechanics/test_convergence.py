@@ -53,7 +53,7 @@ def test_the_error_falls_spectrally(kinematics):
     # 12 nodes are two panels of 6, 16 two of 8: the error of as many nodes on half the width, 2^-12 and less
     assert np.all(tip_errors(kinematics, 12) < few[6] / 100)
     assert np.all(tip_errors(kinematics, 16) < FLOOR)
-    assert np.all(tip_errors(kinematics, 8) < 4e-5)  # promised by design.md section 3
+    assert np.all(tip_errors(kinematics, 8) < 4e-5)  # promised by docs/theory.md (16)
 
 
 # --- the error estimate --------------------------------------------------------------------------
@@ -166,7 +166,7 @@ def test_more_nodes_resolve_a_wiggle():
 
 @pytest.mark.slow
 def test_a_change_of_sign_of_the_curvature_is_not_passed_over():
-    """Two tendons whose moments cross inside the body: |kappa| has a kink, design.md section 2."""
+    """Two tendons whose moments cross inside the body: |kappa| has a kink, docs/theory.md."""
     offsets = cddf.Linear(0.012, 0.007, 0.14), cddf.Linear(0.008, 0.0115, 0.14)
     body = paper_with(cddf.Tendon(offsets[0]), cddf.Tendon(offsets[1], -1), kinematics="published")
     plain = paper_plain(

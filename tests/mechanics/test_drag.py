@@ -185,7 +185,7 @@ def test_a_cylinder_follows_the_riccati_equation(base_tension, direction):
 @pytest.mark.slow
 @pytest.mark.parametrize("base_tension", [75.0, 12.0])
 def test_the_published_kinematics_lose_the_same_tension(base_tension):
-    """There kappa_c = T d / (E J) as well, design.md section 2: T' = -(mu T^2 d / (E J) + w), by SciPy."""
+    """There kappa_c = T d / (E J) as well, docs/theory.md: T' = -(mu T^2 d / (E J) + w), by SciPy."""
 
     def rate(s, T):
         return -(MU * np.maximum(T, 0) ** 2 * d / (E * second_moment(s)) + W)
@@ -330,7 +330,7 @@ def test_a_batch_is_a_loop():
 
 
 def test_without_drag_the_program_and_the_closed_form_are_those_without_it():
-    """drag=None compiles no term of it; drag=0 gives the closed form of design.md section 3, by SciPy."""
+    """drag=None compiles no term of it; drag=0 gives the closed form of docs/theory.md (16), by SciPy."""
     body = paper_body("exact")
     assert body.tendon_drag is None
     assert body.cross_section(0.1).drag is None
@@ -367,7 +367,7 @@ def test_energy_of_drag_alone():
 @pytest.mark.slow
 @pytest.mark.parametrize(("direction", "closes"), [(+1, 1e-3), (-1, 1e-11)], ids=["in", "out"])
 def test_the_energy_of_both_frictions_balances(direction, closes):
-    """Virtual work, design.md section 2, whichever way friction acts; sliding in, the tendon is slack at first."""
+    """Virtual work, docs/theory.md, whichever way friction acts; sliding in, the tendon is slack at first."""
     balance = cddf.energy_balance(EXACT, 40.0, direction=direction, num_steps=64)
     assert abs(balance.residual) < closes * balance.actuation_work[0]
     assert direction * balance.friction_loss[0] > 0

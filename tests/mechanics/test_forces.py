@@ -90,7 +90,7 @@ def test_friction_opposes_the_sliding_and_lies_along_the_tendon(case):
 
 
 def test_the_two_lines_of_eq_10_differ():
-    """design.md section 2: |F_CDDN| is 532 N/m at the tip at 75 N, T kappa_c is 708 N/m and friction goes with it."""
+    """docs/theory.md: |F_CDDN| is 532 N/m at the tip at 75 N, T kappa_c is 708 N/m and friction goes with it."""
     _, solution = solved("published")
     normal = np.linalg.norm(solution.normal_force[0, -1])
     kappa, tension = float(solution.curvature[-1]), float(solution.tension[0, -1])

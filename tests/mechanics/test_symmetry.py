@@ -76,7 +76,7 @@ def test_millimetres_and_megapascals_give_the_same_newtons(kinematics):
 
 
 def test_stiffness_and_tension_scale_together():
-    """Only T / E enters, design.md section 2."""
+    """Only T / E enters, docs/theory.md."""
     soft, stiff = paper_body("exact"), paper_body("exact", youngs_modulus=7 * PAPER["youngs_modulus"])
     a, b = cddf.solve(soft, 40.0), cddf.solve(stiff, 7 * 40.0)
     np.testing.assert_allclose(b.tip_position, a.tip_position, rtol=SCALED)
@@ -98,7 +98,7 @@ def test_without_friction_the_tension_is_that_at_the_base(kinematics):
 
 
 def test_small_friction_joins_the_limit():
-    """First order in mu: T_tip = T_base (1 - mu theta), design.md section 2."""
+    """First order in mu: T_tip = T_base (1 - mu theta), docs/theory.md."""
     frictionless = cddf.solve(paper_body("exact", friction_coefficient=0.0), 50.0)
     solution = cddf.solve(paper_body("exact", friction_coefficient=1e-6), 50.0)
     theta = frictionless.wrap_angle[:, -1]
@@ -107,7 +107,7 @@ def test_small_friction_joins_the_limit():
 
 @pytest.mark.parametrize("sliding", [+1, -1])
 def test_loss_at_a_given_angle_does_not_depend_on_the_body(sliding):
-    """Constant d, exact kinematics: loss = 1 - exp(-mu tip_angle), design.md section 4."""
+    """Constant d, exact kinematics: loss = 1 - exp(-mu tip_angle), docs/identifiability.md."""
     solve = jax.jit(lambda body: cddf.solve(body, 30.0, direction=sliding, throw=False))
     for tip_radius in (0.013, 0.016, 0.020):
         solution = solve(paper_body("exact", outer_radius=(0.020, tip_radius)))

@@ -225,7 +225,7 @@ def test_figures_are_drawn(figures, tmp_path):
 
 
 def test_the_curve_is_the_model(figures, paper_route):
-    """The line of the load cells' panel against the closed form at the estimate, design.md section 3."""
+    """The line of the load cells' panel against the closed form at the estimate, docs/theory.md (16)."""
     above = figures["fit_load_cells_simulated"].axes[0]
     mu, modulus = (paper_route.value[name] for name in BOTH)
     drawn = [line.get_xydata() for line in above.get_lines() if len(line.get_xydata()) == 100]

@@ -73,7 +73,7 @@ def test_matplotlib_stays_as_it_was(reproduced):
 
 @pytest.mark.parametrize(
     ("name", "value", "tolerance"),
-    [  # design.md section 3: published kinematics, 75 N; tolerances are its last printed digit
+    [  # docs/theory.md (16): published kinematics, 75 N; tolerances are its last printed digit
         ("tension_loss", 1 - 45.122927013148 / 75, 1e-10),
         ("iterations", 6, 0),  # 5 updates and the start
         ("levels", 17, 0),
@@ -104,7 +104,7 @@ def test_what_cannot_be_compared_is_reported(row):
 
 def test_mean_error_is_that_of_the_closed_form(row, load_cells):
     base, tip = load_cells["base_tension"], load_cells["tip_tension"]
-    model = base / (1 + 0.42 / 1.4e6 * base * 2.942783188998e4)  # design.md section 3
+    model = base / (1 + 0.42 / 1.4e6 * base * 2.942783188998e4)  # docs/theory.md (16)
     assert row("mean_error")["ours"] == pytest.approx(np.mean(np.abs(model - tip) / tip), rel=1e-8)
 
 

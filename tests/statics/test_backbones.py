@@ -54,7 +54,7 @@ def observed(x: Numbers, **options: Any) -> tuple[jax.Array, Any]:
 
 
 def reference(x: Numbers = Numbers()) -> np.ndarray:
-    """The same by shooting with SciPy, design.md section 2: exact kinematics, one tendon of constant offset.
+    """The same by shooting with SciPy, docs/theory.md: exact kinematics, one tendon of constant offset.
 
     theta' = |kappa|, phi' = kappa, M' = -(t x N), E I kappa = d T_base exp(-mu theta) + M, M(L) = 0.
     """
@@ -160,7 +160,7 @@ def test_a_modulus_that_varies_along_the_body():
         J = np.pi / 4 * ((0.020 - 0.05 * s) ** 4 - 0.007**4)
         return 0.010 / ((1.8e6 - 0.8e6 * s / 0.14) * J)
 
-    expected = 50.0 / (1 + 0.42 * 50.0 * quad(compliance, 0, 0.14, epsrel=1e-12)[0])  # design.md section 3
+    expected = 50.0 / (1 + 0.42 * 50.0 * quad(compliance, 0, 0.14, epsrel=1e-12)[0])  # docs/theory.md (16)
     np.testing.assert_allclose(tip_tension(varying), expected, rtol=1e-9)
     np.testing.assert_allclose(cddf.closed_form_tension(varying, 50.0, 0.14), expected, rtol=1e-10)
     constant, s = paper_body("exact", youngs_modulus=cddf.Constant(1.4e6)), np.linspace(0.0, 0.14, 9)
@@ -382,7 +382,7 @@ def test_files_that_are_refused(tmp_path, case):
 
 
 def bench_of(columns: str, tmp_path: Any) -> Any:
-    """A table of a body of twice the stiffness, in exact numbers: design.md section 3, closed form.
+    """A table of a body of twice the stiffness, in exact numbers: docs/theory.md (16), closed form.
 
     T_tip = T / (1 + mu T G), G = int d / (E I) over the body; exact kinematics: T_tip = T exp(-mu tip angle).
     """

@@ -71,10 +71,10 @@ def test_strain_of_a_circle():
 
 
 def test_the_strain_of_a_cone_is_largest_at_its_tip():
-    """Kappa = T d / (E J), published kinematics with T d^2 beside E J, design.md section 2; the tip is the thinnest."""
+    """Kappa = T d / (E J), published kinematics with T d^2 beside E J, docs/theory.md; the tip is the thinnest."""
     eq = cddf.solve(paper_body(), 75.0)
     second_moment = np.pi / 4 * (0.013**4 - 0.007**4)
-    tension = 45.122927013148  # design.md section 3
+    tension = 45.122927013148  # docs/theory.md (16)
     kappa = tension * 0.010 / (1.4e6 * second_moment + tension * 0.010**2)
     assert eq.peak_strain == pytest.approx(0.013 * kappa, rel=1e-9)
     assert eq.peak_strain_at == pytest.approx(0.140, abs=1e-9)

@@ -95,7 +95,7 @@ def test_a_buckled_column_is_raised_and_keeps_its_numbers():
 @pytest.mark.slow
 @pytest.mark.parametrize("fraction", [0.95, 1.05])
 def test_equal_tendons_stiffen_a_column_in_the_published_kinematics(fraction):
-    """E J kappa = sum sigma d T (1 - sigma d kappa): 2 T d^2 adds to E J, design.md section 2."""
+    """E J kappa = sum sigma d T (1 - sigma d kappa): 2 T d^2 adds to E J, docs/theory.md."""
     tension = 0.3 * RIGIDITY / 0.002**2
     critical = buckling_force(RIGIDITY + 2 * tension * 0.002**2, 0.2)
     assert critical > 1.5 * EULER
@@ -120,7 +120,7 @@ def test_a_slightly_bent_column_leaves_the_straight_line(fraction):
 
 def in_small_steps(plain, tension, loads, steps=50, cells=60):
     """The tip angle at the end of a path of stable equilibria of equal cells, by Newton's method at every step."""
-    # without loads: by the closed form, design.md section 3
+    # without loads: by the closed form, docs/theory.md (16)
     places = LENGTH * (np.arange(cells) + 0.5) / cells
     J = plain.second_moment(places)
     kappa = 0.010 / (1.4e6 * J) * np.array([plain.closed_form(tension, x) for x in places])

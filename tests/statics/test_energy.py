@@ -21,7 +21,7 @@ def left_over(balance):
 
 
 def test_one_tendon_against_the_closed_form():
-    """The closed form of design.md section 3, exact kinematics and constant d.
+    """The closed form of docs/theory.md (16), exact kinematics and constant d.
 
     With a = mu G(L) / E: pulled length d ln(1 + a T) / mu, so W = (d / mu)(T - ln(1 + a T) / a), and
     U = int (T(s) d)^2 / (2 E J) ds; what is left is friction.
@@ -72,7 +72,7 @@ EXACT = {
 @pytest.mark.slow
 @pytest.mark.parametrize("name", EXACT)
 def test_the_balance_closes_in_the_exact_kinematics(name):
-    """Virtual work, design.md section 2: the work of the tendons is stored, lost to friction, or lifts the loads."""
+    """Virtual work, docs/theory.md: the work of the tendons is stored, lost to friction, or lifts the loads."""
     body, tension, loads, direction = EXACT[name]
     balance = cddf.energy_balance(body, tension, loads, direction=direction)
     assert left_over(balance) < CLOSES
@@ -100,7 +100,7 @@ def test_without_friction_nothing_is_lost():
 
 
 def test_the_published_kinematics_have_a_residual():
-    """Arm d (1 - d kappa), travel int d kappa: not consistent with virtual work (design.md section 2)."""
+    """Arm d (1 - d kappa), travel int d kappa: not consistent with virtual work (docs/theory.md)."""
     balance = cddf.energy_balance(paper_body("published"), 75.0)
     assert 0.03 < left_over(balance) < 0.07
     assert balance.residual > 0

@@ -16,7 +16,7 @@ def bent():
 
 
 def test_an_equilibrium(bent):
-    """design.md section 3: tip, angle, tension and loss; the strain as in test_contact."""
+    """docs/theory.md (16): tip, angle, tension and loss; the strain as in test_contact."""
     tip, tendon, strain, last = str(bent).splitlines()
     assert tip == "tip at (120.396, 57.002) mm, 63.167 deg"
     assert tendon.startswith("tendon 1: base tension 75.0000 N, tip tension 45.1229 N, loss 39.84 %, pulled in ")

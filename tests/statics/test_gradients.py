@@ -32,7 +32,7 @@ CASES = {
 each_kinematics = pytest.mark.parametrize(
     "case", ["published", "exact"]
 )  # of one tendon, for which there is a closed form
-G = 2.942783188998e4  # int d/J ds, design.md section 3
+G = 2.942783188998e4  # int d/J ds, docs/theory.md (16)
 
 
 def body_from(parameters, kinematics, count, offset):

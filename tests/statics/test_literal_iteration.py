@@ -18,7 +18,7 @@ def history():
 
 
 def test_five_updates_at_75_newtons(history):
-    """design.md section 3; the paper says "after 6 iterations", counting the start."""
+    """docs/theory.md (16); the paper says "after 6 iterations", counting the start."""
     assert history.num_updates == 5
     assert history.converged
     assert history.tip_tolerance == THRESHOLD
@@ -62,7 +62,7 @@ def test_shapes_start_at_the_base_and_carry_their_tension(history):
     assert history.position.shape == (31, 18, 2)
     assert history.curvature.shape == (31, 16)
     assert history.tip_tension.shape == (31, 1)
-    # the shape of the closed form has its tension: design.md section 3
+    # the shape of the closed form has its tension: docs/theory.md (16)
     np.testing.assert_allclose(history.tip_tension[-1], [45.122927013148], rtol=1e-8)
 
 
@@ -105,7 +105,7 @@ SLIPPERY = paper_body("published", friction_coefficient=0.01)  # so that T stays
 
 
 def test_it_diverges_where_the_tension_exceeds_the_stiffness():
-    """design.md section 3: it contracts if and only if T d^2 < E J everywhere. E J at the tip is 0.0288 N m^2."""
+    """docs/theory.md (16): it contracts if and only if T d^2 < E J everywhere. E J at the tip is 0.0288 N m^2."""
     stiffness = 1.4e6 * paper_plain().second_moment(0.14)
     tip = paper_plain(friction=[0.01]).closed_form(400.0, 0.14)
     assert tip * 0.010**2 > 1.2 * stiffness

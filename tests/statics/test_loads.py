@@ -105,7 +105,7 @@ def moment_outboard(solution, loads: PlainLoads, plain: PlainBody, density: floa
 
 
 def assert_moments_balance(solution, problem):
-    """E J kappa = sum sigma d T t_c.t + M_ext, design.md section 2; at the base, M_ext is what the base holds."""
+    """E J kappa = sum sigma d T t_c.t + M_ext, docs/theory.md; at the base, M_ext is what the base holds."""
     plain = problem.plain
     s, kappa = np.array(solution.arc_length), np.array(solution.curvature)
     side, d = np.array(plain.sides)[:, None], np.array([[offset(x) for x in s] for offset in plain.offsets])
@@ -298,7 +298,7 @@ def test_millimetres_and_megapascals():
 
 
 def test_loads_tensions_and_stiffness_scale_together():
-    """Only ratios to E enter, design.md section 2."""
+    """Only ratios to E enter, docs/theory.md."""
     times = 7.0
     loads = jax.tree.map(lambda x: times * x, PAIR_LOADS)
     stiff = solved_pair(loads, (times * 60.0, times * 15.0), youngs_modulus=times * PAPER["youngs_modulus"])

@@ -182,7 +182,7 @@ def test_one_pass_without_a_solution_is_reported(direction, friction, expected):
 
 @pytest.mark.slow
 def test_few_passes_settle_strong_friction():
-    """The errors of passes over the whole body fall like c^n / n!, design.md section 3.
+    """The errors of passes over the whole body fall like c^n / n!, docs/theory.md (16).
 
     A slanted pair with 80 % loss: c = -ln(1 - 0.8) = 1.6, and c^n / n! is 1e-12 at n = 18.
     """
@@ -228,7 +228,7 @@ def test_literal_iteration_refuses_finite_turns():
     "method", [cddf.FixedPoint(), pytest.param(Marching(), marks=pytest.mark.slow)], ids=lambda m: type(m).__name__
 )
 def test_a_locking_tendon_is_reported_as_such(method, kinematics):
-    """Sliding out, the closed form of design.md section 3 reads T_base / (1 - (mu/E) T_base G): no tip beyond 1."""
+    """Sliding out, the closed form of docs/theory.md (16) reads T_base / (1 - (mu/E) T_base G): no tip beyond 1."""
     limit = 1.4e6 / 0.42 / 2.942783188998e4
     body = paper_body(kinematics)
     solve = jax.jit(jax.vmap(lambda t: cddf.solve(body, t, direction=-1, method=method, throw=False).status))

@@ -50,7 +50,7 @@ def test_a_plain_tension_follows_the_body_and_a_double_one_raises_it():
 
 
 def test_without_x64_everything_is_single():
-    """Against the tip tension printed in design.md section 3."""
+    """Against the tip tension printed in docs/theory.md (16)."""
     with jax.enable_x64(False):
         solution = cddf.solve(paper_body("published"), 75.0)
         closed = cddf.closed_form_tension(paper_body("published"), 75.0, 0.14)

@@ -146,7 +146,7 @@ def test_nothing_bends_beyond_the_last_anchor():
     np.testing.assert_array_equal(beyond.curvature, 0.0)
     np.testing.assert_array_equal(beyond.tension, 0.0)
     np.testing.assert_allclose(beyond.heading, solution.tip_angle, atol=1e-12)
-    # design.md section 3, closed form of SciPy at the anchor
+    # docs/theory.md (16), closed form of SciPy at the anchor
     np.testing.assert_allclose(solution.tip_tension, [paper_plain().closed_form(40.0, 0.08)], rtol=TENSION)
 
 
@@ -171,7 +171,7 @@ def test_the_jump_at_a_kink_is_the_capstan_of_its_angle():
     solution = cddf.solve(bent("exact", heights), 30.0)
     gap = 1e-9
     before, after = (fields_at(solution, jnp.asarray(0.05 + side * gap)) for side in (-1, +1))
-    # psi = phi + atan2(d', 1 - d kappa), design.md section 2; d' = 0.08 before, -0.04 after
+    # psi = phi + atan2(d', 1 - d kappa), docs/theory.md; d' = 0.08 before, -0.04 after
     psi = [
         float(at.heading + np.arctan2(slope, 1 - 0.012 * at.curvature))
         for at, slope in ((before, 0.08), (after, -0.04))

@@ -95,7 +95,7 @@ def test_a_held_displacement_is_stiffer_than_a_held_tension():
 
 
 def test_jacobian_against_the_closed_form():
-    """phi(L) = ln(1 + a T) / mu with a = mu G / E, design.md section 3."""
+    """phi(L) = ln(1 + a T) / mu with a = mu G / E, docs/theory.md (16)."""
     plain, tension = paper_plain("exact"), 40.0
     a = MU * plain.compliance(LENGTH) / E
     jacobian = cddf.tip_jacobian(paper_body("exact"), tension)

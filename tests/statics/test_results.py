@@ -219,7 +219,7 @@ def test_at_outside_the_body_is_nan(pair):
 
 
 def test_at_can_be_differentiated(pair):
-    """Of the heading the curvature, of the position the axis t: design.md section 1."""
+    """Of the heading the curvature, of the position the axis t: docs/theory.md (1)."""
     s = jnp.asarray(0.0613)
     slope = jax.jit(jax.jacfwd(lambda s: (pair.at(s).heading, pair.at(s).position)))(s)
     at = fields_at(pair, s)
@@ -239,7 +239,7 @@ def test_displacement_of_a_parallel_tendon_is_offset_times_angle(kinematics):
 
 
 def test_displacement_of_slanted_tendons_is_the_change_of_their_length(pair):
-    """SciPy's integral of sqrt(1 + d'^2) - |u_c'| over the solved curvature, u_c' of design.md section 2."""
+    """SciPy's integral of sqrt(1 + d'^2) - |u_c'| over the solved curvature, u_c' of docs/theory.md."""
     dense = jax.jit(lambda s: pair.at(s).curvature)
     slope = -0.003 / 0.14
 

@@ -152,7 +152,7 @@ def test_a_body_of_the_plane_in_space(loads):
 def test_forces_on_the_body_balance_the_reactions_at_the_base():
     """The tendon forces in sum are T t at the anchor less T t at the base; their moment and the load's bend the base.
 
-    The direction t of a tendon follows from strain and routing, space.md section 1: v + u x rho + rho' with v = e_x.
+    The direction t of a tendon follows from strain and routing, docs/space.md: v + u x rho + rho' with v = e_x.
     """
     turns, first, force = np.array([0.25, 0.0]), np.array([0.0, 2.0]), np.array([0.0, 0.1, 0.2])
     body = paper_with(helix(0.25), at_angle(2.0))

@@ -1,6 +1,6 @@
 """Targets in place of tensions: displacements and others, against closed forms and SciPy.
 
-The closed form of design.md section 3, with G(s) = int_0^s d/J ds and constant d in the exact kinematics, inverted:
+The closed form of docs/theory.md (16), with G(s) = int_0^s d/J ds and constant d in the exact kinematics, inverted:
 T(s) = T_base / (1 + a T_base), a = mu G / E; phi(L) = ln(1 + a T_base) / mu; pulled length = d phi(L).
 """
 
@@ -337,7 +337,7 @@ def test_an_unreachable_target_gives_the_nearest(name, wanted, nearest):
 
 
 def test_the_published_tip_tension_has_a_supremum():
-    """T_tip < E / (mu G) for any base tension, design.md section 3; the published curvature never crosses."""
+    """T_tip < E / (mu G) for any base tension, docs/theory.md (16); the published curvature never crosses."""
     found = cddf.solve(paper_body("published"), cddf.TipTension(1.01 * E / (MU * G)), throw=False)
     assert found.status == Status.unreachable
     assert 0.9 * E / (MU * G) < found.tip_tension[0] < E / (MU * G)

@@ -214,7 +214,7 @@ def test_shard_map_gives_values_slopes_and_curvatures():
 
     sharded = on_four_devices(jax.vmap(values))(LADDER)
     assert_same(sharded[:2], tip_tensions(LADDER), 1e-10)
-    a = 0.42 / 1.4e6 * paper_plain("exact").compliance(0.14)  # T / (1 + a T), design.md section 3
+    a = 0.42 / 1.4e6 * paper_plain("exact").compliance(0.14)  # T / (1 + a T), docs/theory.md (16)
     np.testing.assert_allclose(sharded[2], -2 * a / (1 + a * LADDER) ** 3, rtol=1e-7)
     assert len(sharded[0].sharding.device_set) == 4
 

@@ -26,7 +26,7 @@ xarray = pytest.importorskip("xarray")
 
 
 def compliance(body):
-    """G(L) of T_tip = T / (1 + mu G T / E), design.md: the integral of d / J."""
+    """G(L) of T_tip = T / (1 + mu G T / E), docs/theory.md (16): the integral of d / J."""
 
     def rate(s):
         outer, inner = float(body.outer_radius(s)), float(body.inner_radius(s))
@@ -319,7 +319,7 @@ def test_a_target_is_swept_by_its_value():
 
 
 def test_options_are_axes_too():
-    """One program for each pair of options; the tip tensions by their laws in both kinematics (design.md)."""
+    """One program for each pair of options; the tip tensions by their laws in both kinematics (docs/theory.md)."""
     answer = cddf.sweep(
         paper_body(),
         {"way": {"kinematics": ["published", "exact"], "nodes": [8, 16]}, "base_tension": [40.0, 75.0]},
