@@ -3,7 +3,7 @@
 Within a step each tendon obeys Coulomb's law with its slip dw in that step. Where the tendon moved towards the base,
 its share sigma of the friction limit is +1; where it moved away, -1; where it did not move, equilibrium determines the
 share. The law is softened by a length delta, sigma = dw / sqrt(dw^2 + delta^2). Newton's method reduces delta from a
-hundredth to 1e-11 of the largest offset, and so finds where tendons rest. With a smaller delta, the slips of tendons
+hundredth to 1e-10 of the largest offset, and so finds where tendons rest. With a smaller delta, the slips of tendons
 that rest would be hardly larger than their rounding errors, and the passes would not settle. A single tendon settles
 with 1e-13.
 """
@@ -25,7 +25,7 @@ from .cells import Cells, Edge, along_cell, missing_along
 Number = Float[Array, ""]
 PerCell = Float[Array, "*P tendons"]  # of all cells; without their axis of one
 FIRST_SOFTNESS = 1e-2  # delta, over the largest offset
-LAST_SOFTNESS = 1e-11
+LAST_SOFTNESS = 1e-10
 LAST_ALONE = 1e-13  # the same for a single tendon
 SHRINKING = (0.1, 0.3, 0.3, 0.5)  # factor on delta in a pass, in each of four attempts
 SETTLED = (np.inf, 1e-2, 1e-2, 1e-4)  # delta is reduced after a pass whose change was smaller, in each attempt
