@@ -34,7 +34,7 @@ settings.load_profile("cddf")
 # every compiled program keeps a dozen maps of memory; Linux grants a process 65,530 of them, and the compiler crashes
 # without a word where there are no more
 MAPS = Path("/proc/self/maps")
-MANY_MAPS = 40_000
+MANY_MAPS = 25_000
 
 
 # These have single tests that take long: one that starts last would leave the other workers without work.
