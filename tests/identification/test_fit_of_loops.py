@@ -172,7 +172,7 @@ def test_a_fit_of_a_loop_is_drawn_as_a_loop(fitted):
 def test_a_loop_without_its_order_has_a_warning(fitted):
     """The same rows, pulled from rest each: an error of many standard errors, and a warning with the remedy."""
     without = cddf.fit(BODY, table(), history=False)
-    assert any("give history=True (--history)" in warning for warning in without.warnings)
+    assert any("Give the rows a history (history=True, --history" in warning for warning in without.warnings)
     assert abs(without.value["youngs_modulus"] / E - 1) > 0.01
     columns = {name: values for name, values in table().columns.items() if name != "step"}
     asked = cddf.fit(BODY, Measurements.from_columns("bench", **columns), ALL, noise=NOISE, history=True)

@@ -29,6 +29,7 @@ from .tension_before import is_past
 if TYPE_CHECKING:
     from .fit import Fit
 
+INCOMPRESSIBLE = 0.5  # Poisson's ratio of a material that does not change its volume
 LARGEST_FRICTION = 2.0  # a larger coefficient gives a warning
 CHANCE = 1e-3  # p-value below which residuals drift, or differ from trial to trial
 SHOWN = 4  # levels that a warning names
@@ -142,6 +143,11 @@ def fit_warnings(fit: "Fit") -> list[str]:
         found.append(
             f"friction_coefficient = {mu:.3g} is far above that of any tendon; check the units of the tables, "
             "for instance radians in a column of degrees"
+        )
+    if fit.confidence_interval.get("poissons_ratio", (0.0, 0.0))[0] > INCOMPRESSIBLE:
+        found.append(
+            f"poissons_ratio = {fit.value['poissons_ratio']:.3g} is above 0.5, which no uniform material has: the body "
+            "is softer in torsion or shear than its bending stiffness suggests"
         )
     for solves in fit.solve_results:
         for status in NOTEWORTHY:
