@@ -59,7 +59,6 @@ benchmark: .venv/ready  ## accuracy and time of the methods, into out/benchmark/
 	$(BIN)/python benchmarks/space.py
 	$(BIN)/python benchmarks/space_loads.py
 	$(BIN)/python benchmarks/traces.py
-	$(BIN)/python benchmarks/space_history.py
 	$(BIN)/python benchmarks/sweeps.py
 	$(BIN)/python benchmarks/designs.py
 	$(BIN)/python benchmarks/cold_start.py

@@ -23,7 +23,6 @@ PARTS = {
     "space": "Batches in space",
     "space_loads": "Batches in space under a tip force",
     "traces": "Pull and release of one tendon",
-    "space_history": "Pull and release of several tendons in space",
     "sweeps": "Sweeps: size, devices, processes, precision, memory",
     "fits": "Fit, bootstrap and profile",
     "seventeen_levels": "Fit of 17 levels with tip positions",
