@@ -10,12 +10,11 @@ from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 
 from ..numerics.given_numbers import check_numbers
-from ..robot.loads import Loads
+from ..robot.loads import Loads, loads_in_space
 from ..robot.manipulator import Manipulator
 from ..statics.targets import Displacement, TipAngle
 
 Driven = ArrayLike | Displacement | Sequence[ArrayLike | Displacement | Sequence[ArrayLike]]
-NUM_AXES = {"tip_force": 1, "tip_moment": 0, "gravity": 1}  # without an axis of steps
 
 
 class Path(NamedTuple):
@@ -84,8 +83,11 @@ def given_path(
         TypeError: for entries that are neither numbers nor `Displacement`.
     """
     tension, displacement, driven = _actuation(manipulator, base_tension)
-    along = _loads(loads, tension.shape[0])
-    return Path(tension, displacement, along, _resting(loads, along)), driven
+    if manipulator.in_space and loads is not None:
+        loads = loads_in_space(loads) if isinstance(loads, Loads) else [loads_in_space(each) for each in loads]
+    num_axes = {"tip_force": 1, "tip_moment": int(manipulator.in_space), "gravity": 1}  # without an axis of steps
+    along = _loads(loads, tension.shape[0], num_axes)
+    return Path(tension, displacement, along, _resting(loads, along, num_axes)), driven
 
 
 def _actuation(manipulator: Manipulator, base_tension: Driven | TipAngle) -> tuple[Array, Array, tuple[int, ...]]:
@@ -120,11 +122,11 @@ def _actuation(manipulator: Manipulator, base_tension: Driven | TipAngle) -> tup
     return jnp.where(by_length, 0.0, given), jnp.where(by_length, given, 0.0), driven
 
 
-def _resting(loads: Loads | Sequence[Loads] | None, along: Loads | None) -> Loads | None:
+def _resting(loads: Loads | Sequence[Loads] | None, along: Loads | None, num_axes: dict[str, int]) -> Loads | None:
     """The loads that act before the first step, those without an axis of steps; None where there are none."""
     if along is None or not isinstance(loads, Loads):
         return None
-    stays = {name: np.ndim(getattr(loads, name)) == count for name, count in NUM_AXES.items()}
+    stays = {name: np.ndim(getattr(loads, name)) == count for name, count in num_axes.items()}
     if not all(stays.values()) and not any(_acts(getattr(loads, name)) for name, stay in stays.items() if stay):
         return None
     first = {name: getattr(along, name)[0] for name in stays}
@@ -136,7 +138,7 @@ def _acts(load: Array) -> bool:
     return isinstance(load, Tracer) or bool(np.any(np.asarray(load) != 0))
 
 
-def _loads(loads: Loads | Sequence[Loads] | None, num_steps: int) -> Loads | None:
+def _loads(loads: Loads | Sequence[Loads] | None, num_steps: int, num_axes: dict[str, int]) -> Loads | None:
     """The loads after each step."""
     if loads is None:
         return None
@@ -147,10 +149,10 @@ def _loads(loads: Loads | Sequence[Loads] | None, num_steps: int) -> Loads | Non
             raise ValueError(f"trace: there are {num_steps} steps and {len(loads)} loads; give one for each step")
         return jax.tree.map(lambda *x: jnp.stack([jnp.asarray(value, float) for value in x]), *loads)
     arrays = {}
-    for name, num_axes in NUM_AXES.items():
+    for name, count in num_axes.items():
         value = jnp.asarray(getattr(loads, name), float)
-        shape = value.shape[value.ndim - num_axes :]
-        if value.ndim > num_axes + 1 or (value.ndim == num_axes + 1 and value.shape[0] != num_steps):
+        shape = value.shape[value.ndim - count :]
+        if value.ndim > count + 1 or (value.ndim == count + 1 and value.shape[0] != num_steps):
             raise ValueError(
                 f"trace: loads.{name} must have the shape {shape} or {(num_steps, *shape)}, got {value.shape}"
             )

@@ -1,8 +1,8 @@
-"""Pull and release with several tendons or with loads: the path is followed in short steps.
+"""Pull and release with several tendons or with loads: the path is followed in increments.
 
 Where tendons act on each other, or loads on the shape, a resting tendon does not keep its tension, and there is no
-closed form. So each step of the path, which is straight, is divided into short steps, and the slip of each tendon is
-followed. The error is estimated by two more passes, one with half as many cells and one with half as many short steps.
+closed form. So each step of the path, which is straight, is divided into increments, and the slip of each tendon is
+followed. Two more passes, with half as many elements and with half as many increments, estimate the error.
 """
 
 from functools import partial
@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ..mechanics.fields import Fields
+from ..mechanics.fields import AnyFields
 from ..mechanics.problem import lay_out
 from ..numerics.arrays import varying_as, zero_as
 from ..robot.loads import Loads
@@ -21,17 +21,16 @@ from ..robot.manipulator import Manipulator
 from ..statics.arguments import harmless, is_physical
 from ..statics.equilibrium import nan_unless
 from ..statics.status import Status, first_of
-from .cells import Cells, cut_into_cells, forces_along
-from .differences import with_differences
+from .grid import Given, Grid, cut_into_elements, forces_on
 from .history import Energies, History, States
 from .instants import (
     AT_LIMIT,
-    Given,
     Instant,
     TipPose,
     at_rest,
     crosses,
     difference,
+    direction_of,
     fields_of_instant,
     fronts_of,
     moved,
@@ -39,37 +38,38 @@ from .instants import (
     shape_of,
     stored_in,
     tip_of,
+    under_no_loads,
 )
-from .path import Path, given_path
-from .short_step import Ends
+from .path import Path
 
 Number = Float[Array, ""]
 Flags = Bool[Array, " steps"]
-ACCURACY = 3e-2  # a step with a larger error estimate is called inaccurate
+ELEMENTS = 4  # times the nodes in each smooth piece of the body
+ACCURACY = 1e-2  # a step with a larger error estimate is called inaccurate
 SAFETY = 2.0  # factor on the differences of the passes in the error estimate
 LEAST_ERROR = 1e-5  # the error that the softened law and the stretch of stiff tendons may cause
-LEAST_SLIP = 1e-6  # of the largest slip of a short step; a tendon that slips less rests
+LEAST_SLIP = 1e-2  # of the largest slip of an increment; a tendon that slips less rests
 
 
 class Following(NamedTuple):
     """How a path is followed; static."""
 
     driven: tuple[int, ...]  # the tendons whose displacement is given
-    num_cells: int
-    num_steps: int  # in each step of the path
+    num_elements: int  # in each smooth piece of the body
+    num_increments: int  # in each step of the path
 
 
 class SteppedStates(States):
     """The bodies after all steps of a path."""
 
     manipulator: Manipulator
-    passes: Instant  # first axis: the fine pass, that with rough cells, that with rough steps; second axis: steps
+    passes: Instant  # first axis: fine, with rough elements, with rough increments; second axis: steps
     loads: Loads  # after the last step
-    num_cells: int = eqx.field(static=True)
+    num_elements: int = eqx.field(static=True)
 
     @property
-    def cells(self) -> Cells:
-        return cut_into_cells(self.manipulator, self.num_cells)
+    def grid(self) -> Grid:
+        return cut_into_elements(self.manipulator, self.num_elements)
 
     @property
     def instants(self) -> Instant:
@@ -78,34 +78,35 @@ class SteppedStates(States):
 
     @property
     def arc_length(self) -> Float[Array, " points"]:
-        return self.cells.edges
+        return self.grid.places
 
     def energies(self) -> Energies:
-        stored = jax.vmap(partial(stored_in, self.cells))(self.instants)
-
-        # the error of the trapezoidal rule falls with the square of the step; its part of the work counts as lost
+        stored = jax.vmap(partial(stored_in, self.grid))(self.instants)
+        # the error of the trapezoidal rule falls with the square of the increment; its part of the work counts as lost
         fine, _, rough = self.passes.work
         more = (fine - rough) / 3
         return Energies(fine + more, self.instants.friction_loss + more, stored)
 
-    def fields(self, arc_length: Float[Array, " points"]) -> Fields:
-        shapes = jax.vmap(partial(shape_of, self.cells))(self.instants)
-        at_points = jax.vmap(partial(fields_of_instant, self.manipulator, self.cells), (None, None, 0))
-        return jax.vmap(at_points, (0, 0, None))(self.instants, shapes, arc_length)
+    def fields(self, arc_length: Float[Array, " points"]) -> AnyFields:
+        grid, instants = self.grid, self.instants
+        shapes = jax.vmap(partial(shape_of, grid))(instants)
+        at_points = jax.vmap(partial(fields_of_instant, grid), (None, None, 0))
+        return jax.vmap(at_points, (0, 0, None))(instants, shapes, arc_length)
 
     def sliding(self, arc_length: Float[Array, " points"]) -> Float[Array, "steps *tendons points"]:
-        slid = self.instants.slid
+        slid, places = self.instants.slid, self.grid.places
         moves = jnp.abs(slid) > LEAST_SLIP * jnp.max(jnp.abs(slid), axis=(1, 2), keepdims=True)
-        slides = moves & (jnp.abs(self.instants.step.share) > 1 - AT_LIMIT)
-        found = jnp.moveaxis(jnp.where(slides, jnp.sign(slid), 0.0)[:, self.cells.at(arc_length)], 1, -1)
+        slides = moves & (jnp.abs(self.instants.body.share) > 1 - AT_LIMIT)
+        element = jnp.clip(jnp.sum(places <= arc_length[:, None], axis=1) - 1, 0, places.size - 2)
+        found = jnp.moveaxis(jnp.where(slides, jnp.sign(slid), 0.0)[:, element], 1, -1)
         return found[:, 0] if found.shape[1] == 1 else found
 
 
 class _Rough(NamedTuple):
     """How a pass differs from the fine one. The difference of their results estimates the error."""
 
-    cells: Number  # 1 for half as many, else 0
-    steps: Number  # 1 for half as many short steps, else 0
+    elements: Number  # 1 for half as many, else 0
+    increments: Number  # 1 for half as many, else 0
 
 
 # --- along the path -------------------------------------------------------------------------------
@@ -121,44 +122,49 @@ def _followed(
         start: the instant before the first step; None for rest.
         rough: how the pass differs from the fine one.
     """
-    cells = cut_into_cells(manipulator, kind.num_cells, rough.cells)
+    grid = cut_into_elements(manipulator, kind.num_elements, rough.elements)
     zero = zero_as(manipulator, path)  # under shard_map all of them vary over the devices, or none
     path = path.behind(jnp.zeros_like(path.tension[0])) if start is None else path
-    given = varying_as(_given(manipulator, cells, path, kind, rough.cells), zero)
+    given = varying_as(_given(grid, path), zero)
     if start is None:
-        start = at_rest(manipulator, cells, jax.tree.map(lambda x: x[0], given), path.resting)
+        start = at_rest(grid, jax.tree.map(lambda x: x[0], given), path.resting)
         given = jax.tree.map(lambda x: x[1:], given)
+    elif path.loads is not None and start.given.force is None:
+        start = under_no_loads(grid, start)
     start = varying_as(start, zero)
-    counts = jnp.arange(1, kind.num_steps + 1)
+    counts = jnp.arange(1, kind.num_increments + 1)
     driven = jnp.asarray(kind.driven, int)
 
     def advance(instant: Instant, to: Given) -> tuple[Instant, Instant]:
         before = instant.given
 
         def part(instant: Instant, count: Array) -> tuple[Instant, None]:
-            here = jax.tree.map(lambda a, b: a + count / kind.num_steps * (b - a), before, to)
-            left_out = (rough.steps > 0) & ((kind.num_steps - count) % 2 == 1)
-            moves = partial(moved, cells, kind.driven)
+            here = jax.tree.map(lambda a, b: a + count / kind.num_increments * (b - a), before, to)
+            left_out = (rough.increments > 0) & ((kind.num_increments - count) % 2 == 1)
+            moves = partial(moved, grid, kind.driven)
             return jax.lax.cond(left_out, lambda instant, _: instant, moves, instant, here), None
 
         instant = jax.lax.scan(part, instant, counts)[0]
-        edges, ends = instant.step.edges, instant.given.ends
-        tension = ends.base_tension.at[driven].set(edges.tension[0, driven])  # as it was found
-        found = to._replace(ends=ends._replace(base_tension=tension, displacement=cells.pulled_in(edges)))
+        nodes = instant.body.nodes
+        tension = instant.given.base_tension.at[driven].set(nodes.tension[0, driven])  # as it was found
+        found = to._replace(base_tension=tension, displacement=grid.pulled_in(nodes))
         return instant._replace(given=to), instant._replace(given=found)
 
     instants = jax.lax.scan(advance, start, given)[1]
-    tip = jax.vmap(partial(tip_of, cells))(instants)
-    return instants, tip, fronts_of(cells, instants.step.share), jax.vmap(partial(crosses, cells))(instants)
+    tip = jax.vmap(partial(tip_of, grid))(instants)
+    return (
+        instants,
+        tip,
+        fronts_of(grid, instants.body.share, instants.slid),
+        jax.vmap(partial(crosses, grid))(instants),
+    )
 
 
-def _given(manipulator: Manipulator, cells: Cells, path: Path, kind: Following, rough: Number) -> Given:
-    count = path.tension.shape[0]
+def _given(grid: Grid, path: Path) -> Given:
     if path.loads is None:
-        outboard = jnp.zeros((count, *cells.sections.stiffness.shape, 2), path.tension.dtype)
-        return Given(Ends(path.tension, path.displacement, jnp.zeros(count, path.tension.dtype)), outboard)
-    outboard = jax.vmap(partial(forces_along, manipulator, kind.num_cells, rough))(path.loads)
-    return Given(Ends(path.tension, path.displacement, jnp.asarray(path.loads.tip_moment)), outboard)
+        return Given(path.tension, path.displacement, None, None)
+    forces = jax.vmap(partial(forces_on, grid))(path.loads)
+    return Given(path.tension, path.displacement, forces, jnp.asarray(path.loads.tip_moment))
 
 
 # --- the history of a path ------------------------------------------------------------------------
@@ -166,7 +172,7 @@ def _given(manipulator: Manipulator, cells: Cells, path: Path, kind: Following, 
 
 @partial(jax.jit, static_argnames="kind")
 def stepped_history(manipulator: Manipulator, path: Path, start: SteppedStates | None, kind: Following) -> History:
-    """The history of a path, with an error estimate from two passes with half the cells and with half the steps.
+    """The history of a path. Two passes, with half the elements and with half the increments, estimate the error.
 
     Args:
         manipulator: the body.
@@ -178,39 +184,36 @@ def stepped_history(manipulator: Manipulator, path: Path, start: SteppedStates |
     manipulator, path, physical = _checked(manipulator, path)
     last = None if start is None else jax.tree.map(lambda x: x[:, -1], start.passes)
     follow = partial(_followed, manipulator, path, kind)
-    rough = _Rough(cells=jnp.array([0.0, 1.0, 0.0]), steps=jnp.array([0.0, 0.0, 1.0]))
+    rough = _Rough(jnp.array([0.0, 1.0, 0.0]), jnp.array([0.0, 0.0, 1.0]))
     if last is None:
         passes, tips, fronts, crossing = jax.lax.map(lambda rough: follow(None, rough), rough)
     else:
         passes, tips, fronts, crossing = jax.lax.map(lambda given: follow(*given), (last, rough))
-    cells = cut_into_cells(manipulator, kind.num_cells)
+    grid = cut_into_elements(manipulator, kind.num_elements)
     instants, tip = jax.tree.map(lambda x: x[0], (passes, tips))
     others = jax.tree.map(lambda x: x[1:], tips)
-    apart = jax.vmap(jax.vmap(partial(difference, cells)), (None, 0))(tip, others)
-    error = LEAST_ERROR + SAFETY * jnp.sum(apart, axis=0) + jax.vmap(partial(pushed, cells))(instants, tip)
-    step = instants.step
-    good = physical & jnp.all(passes.step.converged, axis=0)
-    numbers = jax.vmap(nan_unless)(good, (instants.given.ends, tip, error, fronts[0]))
-    ends, tip, error, front = numbers
-    states = SteppedStates(manipulator, passes, _last(path), kind.num_cells)
+    apart = jax.vmap(jax.vmap(partial(difference, grid)), (None, 0))(tip, others)
+    error = LEAST_ERROR + SAFETY * jnp.sum(apart, axis=0) + jax.vmap(partial(pushed, grid))(instants, tip)
+    good = physical & jnp.all(passes.body.converged, axis=0)
+    numbers = jax.vmap(nan_unless)(good, (instants.given, tip, error, fronts[0]))
+    given, tip, error, front = numbers
+    states = SteppedStates(manipulator, passes, _last(grid, path), kind.num_elements)
     slack = jnp.zeros_like(good)
     if kind.driven:
-        short = instants.given.ends.displacement - path.displacement > 1e-9 * cells.scale
+        short = instants.given.displacement - path.displacement > 1e-9 * grid.scale
         slack = jnp.any(short[:, list(kind.driven)], axis=1)
+    geometry, share = grid.geometry, instants.body.share
+    driven = jnp.isin(jnp.arange(ones.size), jnp.asarray(kind.driven))
     return History(
-        base_tension=jnp.where(
-            jnp.isin(jnp.arange(ones.size), jnp.asarray(kind.driven)), ends.base_tension, wanted.tension
-        )
-        if kind.driven
-        else wanted.tension,
+        base_tension=jnp.where(driven, given.base_tension, wanted.tension) if kind.driven else wanted.tension,
         tip_tension=tip.tension,
-        tip_angle=tip.heading,
+        tip_angle=jax.vmap(geometry.tip_angle)(tip.heading),
         tip_position=tip.position,
-        tip_frame=None,
-        direction=jnp.where(step.share[:, 0] < 0, -1.0, 1.0),
+        tip_frame=jax.vmap(geometry.tip_frame)(tip.heading),
+        direction=direction_of(share, instants.slid),
         front=front,
         num_turns=None,
-        tendon_displacement=ends.displacement,
+        tendon_displacement=given.displacement,
         error_estimate=error,
         status=_status(physical, good, crossing[0], error, slack),
         _states=states,
@@ -229,58 +232,27 @@ def _checked(manipulator: Manipulator, path: Path) -> tuple[Manipulator, Path, B
 
 
 class Tips(NamedTuple):
-    """The tip after each step; flags are 1 for yes."""
+    """The tip after each step."""
 
     tension: Float[Array, "steps tendons"]  # N
-    heading: Float[Array, " steps"]  # rad
-    position: Float[Array, "steps 2"]  # m
-    physical: Float[Array, " steps"]
-    good: Float[Array, " steps"]
-    crossing: Float[Array, " steps"]
+    heading: Array  # rad, or quaternions
+    position: Float[Array, "steps components"]  # m
+    status: Int[Array, " steps"]
 
 
 def tips_along(manipulator: Manipulator, path: Path, kind: Following) -> Tips:
     """The tip along a path from rest, by one pass and without an error estimate; NaN where a step failed.
 
-    Derivatives are differences, in forward mode. Those of the equations hold fronts fixed within their cells, and are
-    accurate to a few per cent only.
-
     Args:
         manipulator, path, kind: as in `stepped_history`.
     """
-
-    def tips(given: tuple[Manipulator, Path]) -> Tips:
-        manipulator, path, physical = _checked(*given)
-        none = jnp.zeros((), path.tension.dtype)
-        instants, tip, _, crossing = _followed(manipulator, path, kind, None, _Rough(none, none))
-        good = physical & instants.step.converged
-        tip = jax.vmap(nan_unless)(good, tip)
-        flags = (flag.astype(path.tension.dtype) for flag in (physical, good, crossing))
-        return Tips(tip.tension, tip.heading, tip.position, *flags)
-
-    return with_differences(tips, (manipulator, path))
-
-
-def angles_along(
-    manipulator: Manipulator, base_tension: Array, loads: Loads | None, *, nodes: int, short_steps: int
-) -> Float[Array, " steps"]:
-    """Tip angles along a path from rest, rad, as in `tips_along`.
-
-    Args:
-        manipulator: the body.
-        base_tension: (steps, tendons), N.
-        loads: that act on the body already before the first step, or None.
-        nodes, short_steps: as in `trace`.
-    """
-    path, _ = given_path(manipulator, base_tension, loads)
-    return tips_along(manipulator, path, Following((), 4 * nodes, short_steps)).heading
-
-
-def status_of_tips(tips: Tips) -> Int[Array, " steps"]:
-    """How each step ended."""
-    physical, good, crossing = (flag > 0 for flag in (tips.physical, tips.good, tips.crossing))
-    fine = jnp.zeros_like(tips.heading)
-    return _status(physical, good, crossing, fine, fine > 0)
+    manipulator, path, physical = _checked(manipulator, path)
+    none = jnp.zeros((), path.tension.dtype)
+    instants, tip, _, crossing = _followed(manipulator, path, kind, None, _Rough(none, none))
+    good = physical & instants.body.converged
+    tip = jax.vmap(nan_unless)(good, tip)
+    fine = jnp.zeros_like(tip.tension[:, 0])
+    return Tips(tip.tension, tip.heading, tip.position, _status(physical, good, crossing, fine, fine > 0))
 
 
 def _status(
@@ -333,9 +305,9 @@ def _usable(path: Path) -> Bool[Array, " steps"]:
     return finite & jnp.all(path.tension >= 0, axis=1)
 
 
-def _last(path: Path) -> Loads:
-    none = jnp.zeros(2), jnp.zeros(()), jnp.zeros(2)
-    return Loads(*none) if path.loads is None else jax.tree.map(lambda x: x[-1], path.loads)
+def _last(grid: Grid, path: Path) -> Loads:
+    force, moment = jnp.zeros(grid.geometry.components), jnp.zeros(grid.geometry.no_moment.shape)
+    return Loads(force, moment, force) if path.loads is None else jax.tree.map(lambda x: x[-1], path.loads)
 
 
 def _first(loads: Loads | None) -> Loads | None:

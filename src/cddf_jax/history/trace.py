@@ -25,7 +25,7 @@ from ..statics.targets import Displacement, TipAngle
 from .history import GOOD, History
 from .path import Driven, Path, as_numbers, given_path
 from .play_operator import Before, CongruentStates, congruent_history
-from .stepped import ACCURACY, Following, SteppedStates, after_first, squeezed, stepped_history
+from .stepped import ACCURACY, ELEMENTS, Following, SteppedStates, after_first, squeezed, stepped_history
 
 LEAST_MOVE = 1e-6  # of the tip by a push, over the length and in rad; steps settle to some 1e-8 of them
 BOTH_GIVEN = "trace: before and start both give the history before the first step; leave one of them out"
@@ -134,14 +134,8 @@ def _as_known(
 ) -> Manipulator:
     """The body, with an angle of its tendon where it is in space; refuse what `trace` cannot follow in space."""
     given = loads if isinstance(loads, tuple | list) else [loads]
-    if not manipulator.in_space and not any(isinstance(entry, Loads) and entry.in_space for entry in given):
-        return manipulator
-    if manipulator.num_tendons > 1 or loads is not None:
-        raise ValueError(
-            "trace: in space only one tendon without loads can be followed; leave the other tendons and the loads out, "
-            "or use solve with a direction for each tendon"
-        )
-    return in_space(manipulator)
+    turned = manipulator.in_space or any(isinstance(entry, Loads) and entry.in_space for entry in given)
+    return in_space(manipulator) if turned else manipulator
 
 
 def _check_largest(past: Before, start: History | None, quantity: str, values: Array) -> None:
@@ -187,9 +181,9 @@ def _in_short_steps(
             "trace: several tendons or loads need 64-bit numbers; jax.config.update('jax_enable_x64', True) first"
         )
     states = None if start is None else start._states
-    kind = Following(driven, 4 * nodes, short_steps)
+    kind = Following(driven, ELEMENTS * nodes, short_steps)
     if isinstance(states, SteppedStates):
-        kind = kind._replace(num_cells=states.num_cells)
+        kind = kind._replace(num_elements=states.num_elements)
     elif states is not None:
         raise ValueError("trace: start is a history of one tendon without loads; trace it with loads from rest on")
     history = stepped_history(manipulator, path, states, kind)
@@ -305,7 +299,7 @@ def _(history: History, *, push: ArrayLike | Sequence[float] | None = None, shor
     states = history._states
     if isinstance(states, CongruentStates):
         path = Path(states.path[:, None], jnp.zeros_like(states.path)[:, None], None)
-        kind = Following((), 4 * states.nodes, short_steps)
+        kind = Following((), ELEMENTS * states.nodes, short_steps)
         history = stepped_history(states.manipulator, path, None, kind)
         states = history._states
     assert isinstance(states, SteppedStates)
@@ -313,7 +307,7 @@ def _(history: History, *, push: ArrayLike | Sequence[float] | None = None, shor
     pushed = Loads(tip_force=force, tip_moment=states.loads.tip_moment, gravity=states.loads.gravity)
     tension = history.base_tension[-1:].reshape(1, -1)
     path = Path(tension, jnp.zeros_like(tension), jax.tree.map(lambda x: x[None], pushed))
-    after = stepped_history(states.manipulator, path, states, Following((), states.num_cells, short_steps))
+    after = stepped_history(states.manipulator, path, states, Following((), states.num_elements, short_steps))
 
     if not isinstance(after.status, Tracer) and np.ndim(after.status) == 1 and np.any(np.isnan(after.tip_angle)):
         raise SolveError("tip_compliance: no equilibrium was found under the push; push less, or raise short_steps=")

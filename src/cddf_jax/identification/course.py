@@ -15,7 +15,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 from ..errors import InputError
 from ..history.history import History
 from ..history.path import given_path
-from ..history.stepped import Following, status_of_tips, tips_along
+from ..history.stepped import ELEMENTS, Following, tips_along
 from ..history.trace import trace
 from ..measurements.holds import NO_STEP
 from ..measurements.jitter import Steady, without_jitter
@@ -29,7 +29,6 @@ STEPS = 16  # paths are traced in multiples of this number, so that tables share
 FEW_STEPS = 4  # the same for paths that are followed in short steps
 SHORT_STEPS = 4  # in each step of a path without an exact answer
 MOST_REMEMBERED = 60  # turns whose effect on later rows counts in the errors of base tensions
-CELLS = 2  # number of cells over number of nodes
 WITHOUT = "give history=False (--no-history), which lets each tendon slide one way in each row"
 
 
@@ -181,8 +180,8 @@ class Course(eqx.Module):
         resting = loads_with(force[0] if force is not None and self.force_stays else None)
         path = path._replace(resting=jax.tree.map(lambda x: jnp.asarray(x, float), resting))
         path = path.behind(tension[0]) if num_before else path
-        tips = tips_along(body, path, Following((), CELLS * nodes, self.short_steps))
-        return tips.tension, tips.heading, tips.position, status_of_tips(tips), None
+        tips = tips_along(body, path, Following((), ELEMENTS * nodes, self.short_steps))
+        return tips.tension, tips.heading, tips.position, tips.status, None
 
 
 def between(course: Course, points: int) -> tuple[Course, list[np.ndarray]]:
