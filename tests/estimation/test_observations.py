@@ -236,24 +236,3 @@ def test_coverage_with_few_readings_of_different_noise():
         low, high = fit.confidence_interval["a"]
         held += low <= 1 <= high
     assert held == pytest.approx(950, abs=21)
-
-
-@pytest.mark.slow
-def test_joint_region_with_few_readings_of_different_noise():
-    """The joint 95 % region of a level and a slope holds the truth in 95 % of 1,000 draws, within three errors.
-
-    Six readings at x = 0 tell the level, and nine at x = 1 its sum with the slope; each sample has its own noise.
-    """
-
-    def level_and_sum(p):
-        return {"x": p["a"] * jnp.ones(6), "y": (p["a"] + p["b"]) * jnp.ones(9)}
-
-    held = 0
-    for seed in range(1000):
-        fit = least_squares_fit(level_and_sum, {"a": 1.0, "b": 0.0}, draw(np.random.default_rng((6, seed))))
-        error = np.array([fit.value["a"] - 1, fit.value["b"]])
-        slope = np.linalg.solve(fit.covariance, error)
-        distance = np.sqrt(error @ slope)  # in standard errors along the direction of the error
-        (edge,) = fit.evidence.uncertainty(slope[None]).quantile_of_two
-        held += distance <= edge
-    assert held == pytest.approx(950, abs=21)

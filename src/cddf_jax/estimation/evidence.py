@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.special import fdtri, stdtrit
+from scipy.special import stdtrit
 
 from .parameter_space import TINY, ParameterSpace
 from .residuals import Shared
@@ -79,11 +79,6 @@ class Uncertainty(NamedTuple):
     def half_width(self) -> np.ndarray:
         """Of the 95 % interval."""
         return self.quantile * self.standard_error
-
-    @property
-    def quantile_of_two(self) -> np.ndarray:
-        """The same ratio for the joint 95 % region of two quantities, along the direction of each entry."""
-        return np.sqrt(2 * fdtri(2, np.minimum(self.freedom, GIVEN), 0.95) * (1 + self.growth))
 
 
 class EstimatedNoise(NamedTuple):

@@ -40,7 +40,7 @@ from .instants import (
     stored_in,
     tip_of,
 )
-from .path import Path, given_path
+from .path import Path
 from .short_step import Ends
 
 Number = Float[Array, ""]
@@ -259,21 +259,6 @@ def tips_along(manipulator: Manipulator, path: Path, kind: Following) -> Tips:
         return Tips(tip.tension, tip.heading, tip.position, *flags)
 
     return with_differences(tips, (manipulator, path))
-
-
-def angles_along(
-    manipulator: Manipulator, base_tension: Array, loads: Loads | None, *, nodes: int, short_steps: int
-) -> Float[Array, " steps"]:
-    """Tip angles along a path from rest, rad, as in `tips_along`.
-
-    Args:
-        manipulator: the body.
-        base_tension: (steps, tendons), N.
-        loads: that act on the body already before the first step, or None.
-        nodes, short_steps: as in `trace`.
-    """
-    path, _ = given_path(manipulator, base_tension, loads)
-    return tips_along(manipulator, path, Following((), 4 * nodes, short_steps)).heading
 
 
 def status_of_tips(tips: Tips) -> Int[Array, " steps"]:
