@@ -49,7 +49,7 @@ def keep_programs(folder: str | os.PathLike[str] | None = None) -> Path:
     """
     import jax
 
-    place = folder or jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
+    place = folder or jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]  # JAX types none
     place = Path(place or needed("platformdirs", "cli").user_cache_path("cddf_jax") / "programs")
     jax.config.update("jax_compilation_cache_dir", str(place))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
