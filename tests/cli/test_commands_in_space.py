@@ -142,10 +142,6 @@ def test_a_fit_to_markers_that_a_camera_sees(cddf_command, tmp_path):
         (("solve", HELIX, *PULL, "--gravity", "0, 0, -9.81 m/s^2"), "loads.gravity: the body has no weight"),
         (("solve", HELIX, *PULL, "--tip-moment", "0, 0.1 N m"), "is one number in the plane and three in space"),
         (
-            ("trace", THREE, *["--path", "0 N, 5 N"] * 3),
-            "in space only one tendon without loads can be followed",
-        ),
-        (
             ("reproduce", HELIX, str(DATA / "load_cells_simulated.csv")),
             "in a plane, this one is in space; remove the angle",
         ),

@@ -1,4 +1,4 @@
-"""`trace` of several tendons and of loads, followed in short steps.
+"""`trace` of several tendons and of loads, followed in increments.
 
 The expected values are those of an independent time-stepping simulation (`docs/hysteresis.md`), of `solve`
 where every tendon slides one way, of the exact `trace` of one tendon, and properties.
@@ -20,6 +20,7 @@ ONE = paper_body("exact")
 PATH = np.array([[75.0, 20.0], [60.0, 20.0], [40.0, 20.0], [30.0, 20.0]])
 ANGLES = np.array([45.858, 44.148, 31.046, 15.168])  # deg, section 3: steps refined from both sides
 PLACES = jnp.linspace(0.0, 0.140, 9)
+GRID = 2e-4  # relative error of 64 elements by the trapezoidal rule, where tendons slide one way
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +34,7 @@ def test_antagonists_meet_the_table_within_the_error_estimate(pair):
     np.testing.assert_allclose(np.degrees(pair.tip_angle), ANGLES, atol=0.016)
     np.testing.assert_allclose(pair.tip_tension[1:3], [[50.304, 23.855], [45.013, 17.772]], atol=0.03)
     np.testing.assert_allclose(1e3 * pair.front[1:3, 0], [52.74, 125.43], atol=0.12)  # neutral points
-    np.testing.assert_allclose(pair.front[1:3, 0], pair.front[1:3, 1], atol=1e-6)  # the same for both
+    np.testing.assert_allclose(pair.front[1:3, 0], pair.front[1:3, 1], atol=2e-4)  # a tenth of an element
     np.testing.assert_array_equal(pair.sliding(jnp.array([0.02, 0.1]))[1], [[-1, 1], [1, -1]])
 
 
@@ -71,8 +72,9 @@ def test_random_paths_settle_and_end_where_solve_does(body):
         # so few nodes and steps may be inaccurate on the way
         history = cddf.trace(body, np.concatenate([path, pull]), nodes=8, short_steps=8, throw=False)
         assert np.all(np.isfinite(history.tip_angle))
-        np.testing.assert_allclose(history.tip_angle[-1], found.tip_angle, atol=1e-5)
-        np.testing.assert_allclose(history.tip_tension[-1], found.tip_tension, rtol=1e-5)
+        error = float(history.error_estimate[-1])
+        np.testing.assert_allclose(history.tip_angle[-1], found.tip_angle, atol=error)
+        np.testing.assert_allclose(history.tip_tension[-1], found.tip_tension, atol=error * 70.0)
 
 
 @pytest.mark.slow
@@ -87,8 +89,9 @@ def test_a_neutral_point_that_leaves_at_the_tip():
         np.testing.assert_array_equal(good, np.ones(20, bool))
         for step in range(20)[out]:
             found = cddf.solve(PAIR, path[step], direction=[-1, 1])
-            np.testing.assert_allclose(history.tip_angle[step], found.tip_angle, atol=1e-5)
-            np.testing.assert_allclose(history.tip_tension[step], found.tip_tension, rtol=1e-5)
+            error = float(history.error_estimate[step])
+            np.testing.assert_allclose(history.tip_angle[step], found.tip_angle, atol=error)
+            np.testing.assert_allclose(history.tip_tension[step], found.tip_tension, atol=error * 30.0)
     apart = np.abs(rough.tip_angle - fine.tip_angle)
     assert np.all(apart < rough.error_estimate)
 
@@ -115,14 +118,14 @@ def test_what_came_before_is_the_step_before_the_first(pair):
 @pytest.mark.slow
 def test_tendons_that_slide_one_way_are_as_in_solve(pair):
     found = cddf.solve(PAIR, PATH[0])
-    np.testing.assert_allclose(pair.tip_angle[0], found.tip_angle, atol=1e-7)
-    np.testing.assert_allclose(pair.tip_position[0], found.tip_position, atol=1e-8)
-    np.testing.assert_allclose(pair.tendon_displacement[0], found.tendon_displacement, atol=1e-8)
+    np.testing.assert_allclose(pair.tip_angle[0], found.tip_angle, rtol=GRID)
+    np.testing.assert_allclose(pair.tip_position[0], found.tip_position, atol=GRID * 0.14)
+    np.testing.assert_allclose(pair.tendon_displacement[0], found.tendon_displacement, rtol=GRID)
     fields, expected = pair.at(PLACES), found.at(PLACES)
     for name in ("tension", "curvature", "position", "heading", "wrap_angle", "normal_force", "friction_force"):
         one = np.asarray(getattr(fields, name)[0])
         other = np.asarray(getattr(expected, name))
-        np.testing.assert_allclose(one, other, atol=1e-5 * np.max(np.abs(other)), err_msg=name)
+        np.testing.assert_allclose(one, other, atol=2e-3 * np.max(np.abs(other)), err_msg=name)
 
 
 def test_work_is_stored_or_lost(pair):
@@ -155,28 +158,29 @@ def test_one_tendon_is_as_the_exact_play(loop, exact):
     np.testing.assert_allclose(loop.front, exact.front, atol=2e-5)
     np.testing.assert_array_equal(loop.sliding(jnp.array([0.02, 0.138]))[1], [-1, 0])
     # closed forms of section 2, J; the error of the loss falls with the square of the short steps
-    np.testing.assert_allclose(loop.work[0], 415.405749e-3, rtol=1e-6)
-    np.testing.assert_allclose(loop.stored_energy[0], 355.679440e-3, rtol=1e-6)
+    np.testing.assert_allclose(loop.work[0], 415.405749e-3, rtol=GRID)
+    np.testing.assert_allclose(loop.stored_energy[0], 355.679440e-3, rtol=GRID)
     np.testing.assert_allclose(loop.friction_loss[4], 99.331129e-3, rtol=2e-4)
 
 
 def test_loads_that_rest_on_the_body(loaded):
     for step, tension in ((0, 40.0), (1, 75.0)):
         found = cddf.solve(ONE, tension, LOAD)
-        np.testing.assert_allclose(loaded.tip_angle[step], found.tip_angle, atol=2e-7)
-        np.testing.assert_allclose(loaded.tip_tension[step], found.tip_tension[0], rtol=1e-6)
+        np.testing.assert_allclose(loaded.tip_angle[step], found.tip_angle, atol=GRID)
+        np.testing.assert_allclose(loaded.tip_tension[step], found.tip_tension[0], rtol=GRID)
     np.testing.assert_allclose(loaded.tip_position[2], loaded.tip_position[1], atol=1e-7)  # nothing happens
     missed = np.asarray(loaded.work - loaded.stored_energy - loaded.friction_loss)
-    np.testing.assert_allclose(missed, 0.0, atol=1e-8 * float(loaded.work[1]))
+    # the error of the trapezoidal rule along the path
+    np.testing.assert_allclose(missed, 0.0, atol=1e-4 * float(loaded.work[1]))
 
 
 def test_rest_without_tension_changes_nothing(loaded):
     """Without tension friction has no effect; steps of zero newton settle all the same."""
     rested = cddf.trace(ONE, [0.0, 0.0, 40.0, 40.0, 75.0], LOAD)
     unpulled = float(cddf.solve(ONE, 0.0, LOAD).tip_angle)
-    np.testing.assert_allclose(rested.tip_angle[:2], unpulled, atol=2e-7)
-    np.testing.assert_allclose(rested.tip_angle[2:4], float(loaded.tip_angle[0]), atol=1e-7)
-    assert float(rested.tip_angle[4]) == pytest.approx(float(loaded.tip_angle[1]), abs=1e-7)
+    np.testing.assert_allclose(rested.tip_angle[:2], unpulled, atol=GRID)
+    np.testing.assert_allclose(rested.tip_angle[2:4], float(loaded.tip_angle[0]), atol=1e-6)
+    assert float(rested.tip_angle[4]) == pytest.approx(float(loaded.tip_angle[1]), abs=1e-6)
 
 
 def test_splitting_a_step_changes_nothing_beyond_the_error(loaded):
@@ -210,7 +214,7 @@ def test_gravity_rests_while_a_force_changes(jitted):
     pushed = [cddf.Loads(gravity=gravity, tip_force=one) for one in force[1:]]
     after = cddf.trace(body, tension[1:], pushed, start=under_gravity)
     np.testing.assert_allclose(
-        together.tip_angle[0], cddf.solve(body, 60.0, cddf.Loads(gravity=gravity)).tip_angle, atol=1e-6
+        together.tip_angle[0], cddf.solve(body, 60.0, cddf.Loads(gravity=gravity)).tip_angle, atol=GRID
     )
     np.testing.assert_allclose(together.tip_angle[1:], after.tip_angle, atol=1e-9)
     np.testing.assert_allclose(together.tip_tension[1:], after.tip_tension, rtol=1e-9)
@@ -236,7 +240,9 @@ def test_a_push_meets_a_stiffer_body_than_the_sliding_one():
     harder = -cddf.tip_compliance(exact, push=(0.0, -0.2))[1]
     assert float(harder) > given_way  # the harder, the more of the tendon slides
     tiny = cddf.tip_compliance(exact, push=(0.0, -1e-3))
-    assert abs(float(tiny[2])) < 1e-4 < abs(float(tiny[1]))  # only the angle is held by a tendon that does not stretch
+    # only the angle is held by a tendon that does not stretch, but for the first half of an element
+    assert abs(float(tiny[2])) < 1e-3 * float(cddf.tip_compliance(ONE, 75.0)[2, 2])
+    assert abs(float(tiny[1])) > 0.4 * sliding
     with pytest.raises(cddf.SolveError, match="a push of 1e-06 N moves the tip by less than 1e-06 of the length"):
         cddf.tip_compliance(exact, push=(0.0, -1e-6))
 
@@ -256,7 +262,7 @@ def test_friction_loads_and_a_second_tendon_do_nothing_where_there_is_none():
     body = eqx.tree_at(lambda b: b.friction_coefficient, PAIR, np.asarray(0.0))
     traced = cddf.trace(body, [[30.0, 5.0], [10.0, 5.0]], LOAD)
     for step, tensions in enumerate(([30.0, 5.0], [10.0, 5.0])):
-        np.testing.assert_allclose(traced.tip_angle[step], cddf.solve(body, tensions, LOAD).tip_angle, atol=1e-7)
+        np.testing.assert_allclose(traced.tip_angle[step], cddf.solve(body, tensions, LOAD).tip_angle, atol=GRID)
 
 
 def stretching(body, stiffness=2e3, free_length=0.2):
@@ -309,17 +315,18 @@ def test_drag_uses_up_the_first_tensions_from_rest(drag):
     history = cddf.trace(paper_body("exact", num_tendons=2, drag=drag), [[30.0, 8.0], [60.0, 20.0]])
     for step, tensions in enumerate(([30.0, 8.0], [60.0, 20.0])):
         found = cddf.solve(paper_body("exact", num_tendons=2, drag=drag), tensions)
-        np.testing.assert_allclose(history.tip_angle[step], found.tip_angle, atol=1e-6)
-        np.testing.assert_allclose(history.tip_tension[step], found.tip_tension, rtol=1e-6)
+        np.testing.assert_allclose(history.tip_angle[step], found.tip_angle, atol=GRID)
+        np.testing.assert_allclose(history.tip_tension[step], found.tip_tension, rtol=GRID)
 
 
 @pytest.mark.slow
-def test_a_tendon_that_would_push_by_drag_is_reported():
-    """Both are let go: drag would have one of them push the body back, and a tendon hangs then, which is not known."""
+def test_drag_never_makes_a_tendon_push():
+    """Where both are let go, drag takes no more than the tension, or the step says that it does not settle."""
     history = cddf.trace(paper_body("exact", num_tendons=2, drag=60.0), [[20.0, 0.0], [0.0, 0.0]], throw=False)
-    assert codes(history.status)[1] == cddf.Status.inaccurate
-    with pytest.raises(cddf.SolveError, match=r"error estimate exceeds 0.03: raise short_steps= and nodes="):
-        cddf.trace(paper_body("exact", num_tendons=2, drag=60.0), [[20.0, 0.0], [0.0, 0.0]])
+    assert codes(history.status)[0] == cddf.Status.successful
+    assert codes(history.status)[1] in (cddf.Status.successful, cddf.Status.not_converged)
+    tension = np.asarray(history.at(PLACES).tension)
+    assert np.min(tension[np.isfinite(tension)]) > -1e-9
 
 
 @pytest.mark.slow
@@ -328,19 +335,44 @@ def test_displacements_of_tendons_one_of_which_is_slack():
     start = float(cddf.solve(ONE, 75.0).tendon_displacement[0])
     wanted = start - np.array([0.0, 0.5e-3, 2e-3, start + 3e-3, start - 8e-3])
     history = cddf.trace(PAIR, [cddf.Displacement(wanted), np.zeros(5)])
-    np.testing.assert_allclose(history.base_tension[:3, 0], [75.0, 56.100971, 41.836412], rtol=1e-4)
+    np.testing.assert_allclose(history.base_tension[:3, 0], [75.0, 56.100971, 41.836412], rtol=GRID)
     np.testing.assert_allclose(history.base_tension[3], 0.0, atol=1e-9)
     np.testing.assert_allclose(history.tendon_displacement[:3, 0], wanted[:3], atol=1e-12)
     np.testing.assert_allclose(history.tendon_displacement[3, 0], 0.0, atol=1e-9)
     slack = cddf.Status.slack
     np.testing.assert_array_equal(history.status, [0, 0, 0, slack, 0])
     taken_up = cddf.solve(ONE, cddf.Displacement(8e-3))
-    np.testing.assert_allclose(history.base_tension[4, 0], taken_up.base_tension[0], rtol=1e-6)
+    np.testing.assert_allclose(history.base_tension[4, 0], taken_up.base_tension[0], rtol=GRID)
+
+
+@pytest.mark.slow
+def test_a_tip_angle_and_the_sum_of_the_tensions():
+    """Pulled from rest as `solve` finds it; after a turn its tensions would bend the tip by degrees less."""
+    angles, total = np.radians([20.0, 40.0, 20.0]), np.array([60.0, 80.0, 80.0])
+    history = cddf.trace(PAIR, [cddf.TipAngle(angles), cddf.TotalTension(total)])
+    np.testing.assert_allclose(history.tip_angle, angles, atol=1e-8)
+    np.testing.assert_allclose(jnp.sum(history.base_tension, axis=1), total, atol=1e-7)
+    first = cddf.solve(PAIR, (cddf.TipAngle(angles[0]), cddf.TotalTension(total[0])))
+    np.testing.assert_allclose(history.base_tension[0], first.base_tension, atol=60.0 * GRID)
+    again = cddf.trace(PAIR, history.base_tension)  # the tensions that were found, on another way between the steps
+    np.testing.assert_allclose(again.tip_angle, angles, atol=2e-3)
+    unaware = cddf.solve(PAIR, (cddf.TipAngle(angles[2]), cddf.TotalTension(total[2])))
+    assert abs(float(history.base_tension[2, 0] - unaware.base_tension[0])) > 5.0
+    pushed = cddf.trace(PAIR, [cddf.TipAngle([0.5]), cddf.TotalTension([5.0])], throw=False)
+    np.testing.assert_array_equal(pushed.status, [cddf.Status.unreachable])
+
+
+@pytest.mark.slow
+def test_a_tip_tension_is_reached():
+    """Of one tendon, which has an exact answer; at 20 N the whole tendon slides out."""
+    wanted = [75.0, 20.0]
+    found = cddf.trace(ONE, cddf.TipTension(cddf.trace(ONE, wanted).tip_tension))
+    np.testing.assert_allclose(found.base_tension, wanted, rtol=5 * GRID)
 
 
 @pytest.mark.parametrize("mode", [jax.jacfwd, pytest.param(jax.jacrev, marks=pytest.mark.slow)])
 def test_derivatives(mode):
-    """Against differences; the place of a front within its cell is held, which the tolerance allows for."""
+    """Against differences so small that no tendon begins to slide or to rest in another element."""
 
     def angle(numbers):
         body = eqx.tree_at(lambda b: (b.friction_coefficient, b.youngs_modulus), PAIR, (numbers[0], numbers[1] * 1.4e6))
@@ -348,11 +380,11 @@ def test_derivatives(mode):
         found = cddf.trace(body, path, short_steps=4, nodes=8).tip_angle[-1]
         return found, found
 
-    at, step = np.array([0.42, 1.0, 1.0]), 1e-3
+    at, step = np.array([0.42, 1.0, 1.0]), 1e-4
     derivative = jax.jit(mode(angle, has_aux=True))
     ends = [(derivative(at + step * unit)[1], derivative(at - step * unit)[1]) for unit in np.eye(3)]
     differences = [(above - below) / (2 * step) for above, below in ends]
-    np.testing.assert_allclose(derivative(at)[0], differences, rtol=5e-3, atol=0.01)
+    np.testing.assert_allclose(derivative(at)[0], differences, rtol=2e-4)
 
 
 @pytest.mark.slow

@@ -296,20 +296,6 @@ def test_derivatives_lanes_and_failures():
     assert np.all(np.isnan(lanes[1, :9]))
 
 
-@pytest.mark.parametrize(
-    ("tendons", "path", "loads"),
-    [
-        (2, [[20.0, 5.0]], None),
-        (1, [20.0], cddf.Loads()),
-        (1, [20.0], [cddf.Loads()]),
-    ],
-)
-def test_what_is_refused(tendons, path, loads):
-    robot = paper_with(*(cddf.Tendon(OFFSET, angle=1.5 * i) for i in range(tendons)))
-    with pytest.raises(ValueError, match="only one tendon without loads can be followed"):
-        cddf.trace(robot, path, loads)
-
-
 @pytest.mark.slow
 def test_a_push_after_a_history_is_refused():
     with pytest.raises(ValueError, match="the history is of a body in space"):

@@ -239,7 +239,6 @@ def test_loops_of_several_tendons_and_under_loads_are_traces():
             {},
             "base tensions vary along 'base_tension_1', 'base_tension_2'; give as history the name of the axis",
         ),
-        ({"base_tension": PULL}, {"sensitivities": ("youngs_modulus",)}, "right to about 1 % only; leave sensitiv"),
         ({"base_tension": PULL}, {"short_steps": 1}, "short_steps must be a whole number of 2 or more, got 1"),
         ({"base_tension": PULL}, {"outputs": ("num_turns",)}, "'num_turns' is not an output of a history"),
         (

@@ -1,4 +1,4 @@
-"""A body at one instant of a path that is followed in short steps: the start, the next instant, and results."""
+"""A body at one instant of a path that is followed in increments: the start, the next instant, and results."""
 
 from functools import partial
 from typing import NamedTuple
@@ -7,219 +7,235 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ..mechanics.bending import stretch_rate
-from ..mechanics.fields import Fields, planar_fields
+from ..mechanics.fields import AnyFields, fields_at
 from ..mechanics.friction import PerTendon, Pull
-from ..mechanics.geometry import axis_of
-from ..mechanics.problem import State, guarded_section
+from ..mechanics.problem import State
 from ..numerics.arrays import largest_size
-from ..robot.cross_section import planar, where_present
+from ..robot.cross_section import where_present
 from ..robot.loads import Loads
-from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import nan_unless
 from ..statics.solve import solve
-from .cells import Along, Cells, Edge, integral
-from .short_step import Ends, Setting, Step, after_step
+from .grid import Along, Given, Goal, Grid, Node, along
+from .increment import Body, Setting, after_increment
 
 Number = Float[Array, ""]
-AT_LIMIT = 1e-3  # a tendon counts as sliding where |sigma| is above 1 less this
-
-
-class Given(NamedTuple):
-    """The given numbers at one instant."""
-
-    ends: Ends
-    outboard: Float[Array, "P 3 2"]  # force N, newtons, at the starts, middles and ends of the cells
+AT_LIMIT = 1e-3  # a tendon counts as sliding where |z| is above 1 less this
 
 
 class Instant(NamedTuple):
     """A body at one instant, with work and loss up to it."""
 
     given: Given
-    step: Step
-    along: Along  # the cells
-    slid: Float[Array, "P tendons"]  # slip towards the base in the last short step, m, the mean over a cell
+    body: Body
+    slid: Float[Array, "K tendons"]  # slip towards the base in the last increment, m
     work: Number  # of actuators and loads since the straight body, J
     friction_loss: Number  # J
 
 
-def at_rest(manipulator: Manipulator, cells: Cells, given: Given, loads: Loads | None) -> Instant:
+def at_rest(grid: Grid, given: Given, loads: Loads | None) -> Instant:
     """The body before the first step, whose tendons have no tension: straight, or bent by loads that stay.
 
     Args:
-        manipulator: the body.
-        cells: its cells.
-        given: the given numbers at that instant.
+        grid: the body.
+        given: what acts at that instant.
         loads: that act on it before the first step, or None.
     """
-    still = given.ends.base_tension
-    slips = jnp.zeros((cells.edges.size, still.size), still.dtype)
-    line = slips[:, 0]
-    edges, good = Edge(slips, line, slips, line), jnp.asarray(True)
-    if loads is not None:
-        found = solve(manipulator, still, loads, direction=1.0, throw=False)
-        state = jax.vmap(found._dense.state)(cells.edges)
-        edges, good = Edge(slips, state.heading, slips, state.moment), found._dense.solved
-    along = cells.along(given.outboard, edges, slips[1:])
-    gains = jax.vmap(integral)(cells.width, -along.rates.slip)
-    slip = jnp.concatenate([jnp.cumsum(gains[::-1], axis=0)[::-1], slips[:1]])
-    edges = edges._replace(slip=slip)
-    step = Step(edges, slips[1:], -along.rates.slip[:, 1], good)
-    instant = Instant(given, step, cells.along(given.outboard, edges, slips[1:]), slips[1:], line[0], line[0])
-    return instant._replace(work=stored_in(cells, instant))
+    still, geometry = given.base_tension, grid.geometry
+    count = grid.places.size + 1
+    none, good, nodes = jnp.zeros((count, still.size), still.dtype), jnp.asarray(True), None
+    heading = moment = None
+    if given.force is not None:
+        upright, no_moment = (jnp.asarray(x, still.dtype) for x in (geometry.upright, geometry.no_moment))
+        heading, moment = (jnp.zeros((count, *x.shape), still.dtype) + x for x in (upright, no_moment))
+    if loads is not None and given.force is not None:
+        found = solve(grid.manipulator, still, loads, direction=1.0, throw=False)
+        state = jax.vmap(found._dense.state)(jnp.append(grid.places, grid.places[-1]))
+        heading, moment, good = state.heading, state.moment, found._dense.solved
+    nodes = Node(none, heading, none, moment)
+    slip = jnp.cumsum((grid.weights[:, None] * grid.at_all(nodes, given.force)[1])[::-1], axis=0)[::-1]
+    nodes = nodes._replace(slip=jnp.concatenate([slip, none[:1]]))
+    body = Body(nodes, none[1:], good)
+    settled = after_increment(Setting(grid, given, body, ())) if loads is not None else body
+    instant = Instant(given, settled, none[1:], none[0, 0], none[0, 0])
+    return instant._replace(work=stored_in(grid, instant))
 
 
-def moved(cells: Cells, driven: tuple[int, ...], before: Instant, given: Given) -> Instant:
-    """The body one short step later; `driven` are the tendons whose displacement is given."""
-    step = after_step(Setting(cells, given.outboard, driven), given.ends, before.step)
-    old, new = before.along, cells.along(given.outboard, step.edges, step.share)
+def moved(grid: Grid, driven: tuple[Goal, ...], before: Instant, given: Given) -> Instant:
+    """The body one increment later."""
+    body = after_increment(Setting(grid, given, before.body, driven))
+    old, new = before.body.nodes, body.nodes
 
-    def mean(a, b):
+    def mean(a: Array, b: Array) -> Array:
         return (a + b) / 2
 
-    def whole(density):
-        return jnp.sum(jax.vmap(integral)(cells.width, density))
-
-    pulled_in = cells.pulled_in(step.edges) - cells.pulled_in(before.step.edges)
-    pull = mean(before.step.edges.tension[0], step.edges.tension[0])
-    # the work of N, integrated by parts as M_ext' dphi: then work = stored + loss holds in each short step
-    by_force = -whole(mean(old.rates.moment, new.rates.moment) * (new.values.heading - old.values.heading))
-    heading = step.edges.heading[-1] - before.step.edges.heading[-1]
-    by_moment = mean(before.given.ends.tip_moment, given.ends.tip_moment) * heading
-    friction = mean(old.rates.tension, new.rates.tension) * (new.values.slip - old.values.slip)
-    slipped = step.edges.slip - before.step.edges.slip
-    jumps = mean(_jumps(old, before.step), _jumps(new, step)) * slipped[:-1]
-    lost = whole(jnp.sum(friction, axis=-1)) + jnp.sum(jumps)
+    pulled_in = grid.pulled_in(new) - grid.pulled_in(old)
+    slid = new.slip[1:] - old.slip[1:]
+    lost = jnp.sum(mean(-jnp.diff(old.tension, axis=0), -jnp.diff(new.tension, axis=0)) * slid)
+    by_loads = jnp.zeros_like(lost)
+    if given.force is not None:
+        steps = jax.tree.map(jnp.subtract, _along(grid, given, new).step, _along(grid, before.given, old).step)
+        turn = jax.tree.map(lambda a, b: grid.geometry.turn_from(a[-1], b[-1]), old.heading, new.heading)
+        force, moment = jax.tree.map(mean, before.given[2:], given[2:])
+        by_loads = jnp.sum(force * steps) + jnp.sum(moment * turn)
+    pull = mean(old.tension[0], new.tension[0])
     return Instant(
         given,
-        step,
-        new,
-        slid=(slipped[:-1] + slipped[1:]) / 2,
-        work=before.work + jnp.sum(pull * pulled_in) + by_force + by_moment,
-        friction_loss=before.friction_loss - lost,
+        body,
+        slid,
+        work=before.work + jnp.sum(pull * pulled_in) + by_loads,
+        friction_loss=before.friction_loss + lost,
     )
 
 
-def _jumps(along: Along, step: Step) -> Float[Array, "P tendons"]:
-    """The jumps of the tensions at the starts of the cells, N."""
-    return along.values.tension[:, 0] - step.edges.tension[:-1]
+def _along(grid: Grid, given: Given, nodes: Node) -> Along:
+    starts, ends = jax.tree.map(lambda x: x[:-1], nodes), jax.tree.map(lambda x: x[1:], nodes)
+    return jax.vmap(partial(along, grid))(grid.elements(given.force), starts, ends)
 
 
 # --- results at an instant -----------------------------------------------------------------------
 
 
 class Shape(NamedTuple):
-    """The shape of a body along its cells."""
+    """The shape of a body at its K nodes."""
 
-    along: Along  # the cells
-    position: Float[Array, "edges 2"]  # u, m
-    wrap_angle: Float[Array, "edges tendons"]  # theta, rad
-
-
-def shape_of(cells: Cells, instant: Instant) -> Shape:
-    """Position and wrap angle, integrated along the body."""
-    along = instant.along
-
-    def summed(rate: Array, jumps: Array | float = 0.0) -> Array:
-        gains = jax.vmap(integral)(cells.width, rate) + jumps
-        return jnp.concatenate([jnp.zeros_like(gains[:1]), jnp.cumsum(gains, axis=0)])
-
-    return Shape(along, summed(axis_of(along.values.heading)), summed(jnp.abs(along.turning), along.turn))
+    heading: Array
+    position: Float[Array, "K components"]  # m
+    wrap_angle: Float[Array, "K tendons"]  # theta, rad
 
 
-def stored_in(cells: Cells, instant: Instant) -> Number:
+def shape_of(grid: Grid, instant: Instant) -> Shape:
+    """Heading, position and wrap angle."""
+    nodes, geometry = instant.body.nodes, grid.geometry
+    found = _along(grid, instant.given, nodes)
+
+    def onwards(heading: Array, part: tuple[Number, Array]) -> tuple[Array, tuple[Array, Array]]:
+        width, strain = part
+        middle = geometry.turned_on(heading, width / 2 * strain)
+        return geometry.turned_on(heading, width * strain), (heading, width * geometry.axis(middle, strain))
+
+    upright = jnp.asarray(geometry.upright, nodes.tension.dtype) + 0.0 * nodes.tension[0, 0]
+    heading, steps = jax.lax.scan(onwards, upright, (grid.widths, found.strain))[1]
+
+    def summed(gains: Array) -> Array:
+        return jnp.cumsum(gains, axis=0) - gains
+
+    return Shape(heading, summed(steps), summed(where_present(grid.sections, found.turn)))
+
+
+def under_no_loads(grid: Grid, instant: Instant) -> Instant:
+    """The same instant of a body without loads, with headings and with loads that are zero."""
+    nodes, geometry = instant.body.nodes, grid.geometry
+    heading = shape_of(grid, instant).heading
+    still = jnp.zeros((len(heading) + 1, *geometry.no_moment.shape)) + 0.0 * nodes.tension[0, 0]
+    force = jnp.zeros((len(heading), geometry.components)) + 0.0 * nodes.tension[0, 0]
+    nodes = nodes._replace(heading=jnp.concatenate([heading, heading[-1:]]), moment=still)
+    given = instant.given._replace(force=force, tip_moment=still[0])
+    return instant._replace(given=given, body=instant.body._replace(nodes=nodes))
+
+
+def stored_in(grid: Grid, instant: Instant) -> Number:
     """The energy of bending and of the stretch of the tendons, J."""
-    along, edges = instant.along, instant.step.edges
-    tension = where_present(cells.sections, along.values.tension)
-    stretch = jnp.sum(tension * stretch_rate(cells.stretch, tension, cells.sections), axis=-1)
-    density = (cells.sections.stiffness * along.rates.heading**2 + stretch) / 2
-    return jnp.sum(jax.vmap(integral)(cells.width, density)) + jnp.sum(cells.free_stretch * edges.tension[0] ** 2) / 2
+    nodes, geometry = instant.body.nodes, grid.geometry
+    strain, shorter = grid.at_all(nodes, instant.given.force)
+    tension = where_present(grid.sections, nodes.tension[:-1])
+    bare = jax.vmap(geometry.slip_rate, (0, 0, 0, None))(grid.sections, strain, tension, 0.0 * grid.stretch)
+    elastic = jax.vmap(geometry.elastic)(grid.sections, strain)
+    bending = (grid.sections.stiffness * elastic**2).reshape(len(tension), -1)
+    density = (jnp.sum(bending, axis=1) + jnp.sum(tension * (shorter - bare), axis=1)) / 2
+    return jnp.sum(grid.weights * density) + jnp.sum(grid.free_stretch * nodes.tension[0] ** 2) / 2
 
 
-def fields_of_instant(
-    manipulator: Manipulator, cells: Cells, instant: Instant, shape: Shape, arc_length: Number
-) -> Fields:
-    """The fields at one arc length, tendons last; cubic polynomials within the cells."""
-    i = cells.at(arc_length)
-    width = cells.width[i]
-    place = (arc_length - cells.edges[i]) / jnp.where(width > 0, width, 1.0)
-    along, outboard = jax.tree.map(lambda x: x[i], (shape.along, instant.given.outboard))
-    between = partial(_cubic, place, width)
-    here = jax.tree.map(lambda x, rate: between(x[0], x[2], rate[0], rate[2]), along.values, along.rates)
-    axis, turning = axis_of(along.values.heading), jnp.abs(along.turning)
-    state = State(
-        Pull(jnp.ones_like(here.tension)),
-        here.heading,
-        here.moment,
-        outboard[0] + place * (outboard[2] - outboard[0]),
-        None,
-        between(shape.wrap_angle[i], shape.wrap_angle[i + 1], turning[0], turning[2]),
-        between(shape.position[i], shape.position[i + 1], axis[0], axis[2]),
-    )
-    section = planar(guarded_section(manipulator, arc_length))
-    fields = planar_fields(section, here.tension, instant.step.share[i], arc_length, state)
-    return nan_unless((arc_length >= 0) & (arc_length <= cells.edges[-1]), fields)
+def fields_of_instant(grid: Grid, instant: Instant, shape: Shape, arc_length: Number) -> AnyFields:
+    """The fields at one arc length, tendons last; straight lines between the nodes."""
+    places, nodes = grid.places, instant.body.nodes
+    i = jnp.clip(jnp.sum(places <= arc_length) - 1, 0, places.size - 2)
+    width = places[i + 1] - places[i]
+    largest = jnp.max(nodes.tension)
 
+    def state(s: Number) -> State:
+        part = (s - places[i]) / jnp.where(width > 0, width, 1.0)
 
-def _cubic(place: Number, width: Number, start: Array, end: Array, rate: Array, end_rate: Array) -> Array:
-    """Hermite's cubic polynomial at a point from 0 to 1 of a cell, from values and rates at its ends."""
-    t, u = place, 1 - place
-    return u**2 * (1 + 2 * t) * start + t**2 * (1 + 2 * u) * end + width * t * u * (u * rate - t * end_rate)
+        def at(values: Array) -> Array:
+            return values[i] + part * (values[i + 1] - values[i])
+
+        heading, tension = at(shape.heading), at(nodes.tension)
+        if grid.geometry.has_frames:
+            heading = heading / jnp.linalg.norm(heading)
+        force = None if instant.given.force is None else instant.given.force[i]
+        if force is None and not grid.geometry.has_frames:
+            force = jnp.zeros(2, places.dtype)
+        moment = (
+            jnp.zeros_like(jnp.asarray(grid.geometry.no_moment, places.dtype))
+            if nodes.moment is None
+            else at(nodes.moment)
+        )
+        pull = Pull(jnp.ones_like(tension), largest - tension)
+        return State(pull, heading, moment, force, None, at(shape.wrap_angle), at(shape.position))
+
+    base = jnp.full_like(nodes.tension[0], largest)
+    fields = fields_at(grid.manipulator, base, instant.body.share[i], arc_length, state)
+    return nan_unless((arc_length >= 0) & (arc_length <= places[-1]), fields)
 
 
 class TipPose(NamedTuple):
     """Tensions and pose of the tip, of which the error is estimated."""
 
     tension: PerTendon
-    position: Float[Array, "2"]
-    heading: Number
+    position: Float[Array, " components"]
+    heading: Array
 
 
-def tip_of(cells: Cells, instant: Instant) -> TipPose:
+def tip_of(grid: Grid, instant: Instant) -> TipPose:
     """The tip of a body."""
-    edges = instant.step.edges
-    return TipPose(edges.tension[-1], shape_of(cells, instant).position[-1], edges.heading[-1])
+    shape = shape_of(grid, instant)
+    return TipPose(instant.body.nodes.tension[-1], shape.position[-1], shape.heading[-1])
 
 
-def difference(cells: Cells, tip: TipPose, other: TipPose) -> Number:
+def difference(grid: Grid, tip: TipPose, other: TipPose) -> Number:
     """The largest difference of two passes: in tip tension (relative), position (per length) or angle (rad)."""
-    return jnp.max(
-        jnp.stack(
-            [
-                largest_size(tip.tension - other.tension) / _tension_scale(cells, tip),
-                largest_size(tip.position - other.position) / cells.edges[-1],
-                jnp.abs(tip.heading - other.heading),
-            ]
-        )
-    )
+    parts = [
+        largest_size(tip.tension - other.tension) / _tension_scale(grid, tip),
+        largest_size(tip.position - other.position) / grid.places[-1],
+        largest_size(grid.geometry.turn_from(tip.heading, other.heading)),
+    ]
+    return jnp.max(jnp.stack(parts))
 
 
-def _tension_scale(cells: Cells, tip: TipPose) -> Number:
+def _tension_scale(grid: Grid, tip: TipPose) -> Number:
     """The scale of the tensions, N: the largest at the tip, and the largest loss by drag."""
-    drag = cells.sections.drag
-    dragged = 0.0 if drag is None else jnp.max(jnp.sum(cells.width[:, None] * drag[:, 1], axis=0))
+    drag = grid.sections.drag
+    dragged = 0.0 if drag is None else jnp.max(jnp.sum(grid.widths[:, None] * drag, axis=0))
     return jnp.maximum(jnp.max(tip.tension), 1e-3) + dragged
 
 
-def pushed(cells: Cells, instant: Instant, tip: TipPose) -> Number:
-    """The largest push of a tendon over the tension scale: an error, made where drag has used up the tension."""
-    return jnp.maximum(-jnp.min(instant.step.edges.tension), 0.0) / _tension_scale(cells, tip)
+def pushed(grid: Grid, instant: Instant, tip: TipPose) -> Number:
+    """The largest push of a tendon over the tension scale: an error."""
+    return jnp.maximum(-jnp.min(instant.body.nodes.tension), 0.0) / _tension_scale(grid, tip)
 
 
-def crosses(cells: Cells, instant: Instant) -> Bool[Array, ""]:
+def crosses(grid: Grid, instant: Instant) -> Bool[Array, ""]:
     """Whether fibres cross on the inside of the bend."""
-    bend = cells.sections.side * cells.sections.offset * instant.along.rates.heading[..., None]
-    return jnp.any(where_present(cells.sections, bend) >= 1.0)
+    strain = grid.at_all(instant.body.nodes, instant.given.force)[0]
+    inside = jax.vmap(grid.geometry.inside)(grid.sections, strain)
+    return jnp.any(where_present(grid.sections, inside) >= 1.0)
 
 
-def fronts_of(cells: Cells, share: Float[Array, "steps P tendons"]) -> Float[Array, "steps tendons"]:
+def direction_of(share: Float[Array, "*steps K tendons"], slid: Array) -> Float[Array, "*steps tendons"]:
+    """+1 for a tendon that slides in at the base, -1 for one that slides out."""
+    without_tension = (share[..., 0, :] == 0) & (slid[..., 0, :] < 0)
+    return jnp.where((share[..., 0, :] < 0) | without_tension, -1.0, 1.0)
+
+
+def fronts_of(grid: Grid, share: Float[Array, "steps K tendons"], slid: Array) -> Float[Array, "steps tendons"]:
     """The arc length, m, up to which each tendon slides in one direction from the base."""
-    direction = jnp.where(share[:, :1] < 0, -1.0, 1.0)
-    slides = share * direction > 1 - AT_LIMIT
-    whole = jnp.cumprod(slides, axis=1)
+    along, widths = share * direction_of(share, slid)[:, None], grid.widths[:, None]
+    moved_freely = (share == 0) & (slid != 0)  # without tension there is no friction
+    whole = jnp.cumprod((along > 1 - AT_LIMIT) | moved_freely | (widths == 0), axis=1)
     first = jnp.sum(whole, axis=1, keepdims=True).astype(int)
-    reach = jnp.sum(whole * cells.width[:, None], axis=1)
     last = jnp.minimum(first, share.shape[1] - 1)
-    part = (1 + jnp.take_along_axis(share * direction, last, axis=1)[:, 0]) / 2
-    width = cells.width[last[:, 0]]
-    return jnp.where(first[:, 0] < share.shape[1], reach + jnp.clip(part, 0.0, 1.0) * width, cells.edges[-1])
+    part = jnp.clip((1 + jnp.take_along_axis(along, last, axis=1)[:, 0]) / 2, 0.0, 1.0) * grid.widths[last[:, 0]]
+    reach = jnp.sum(whole * widths, axis=1)
+    begun = jnp.any(slid != 0, axis=1)
+    return jnp.where(
+        begun, jnp.minimum(reach + jnp.where(first[:, 0] < share.shape[1], part, 0.0), grid.places[-1]), 0.0
+    )

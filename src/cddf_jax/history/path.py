@@ -10,19 +10,21 @@ from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 
 from ..numerics.given_numbers import check_numbers
-from ..robot.loads import Loads
+from ..robot.loads import Loads, loads_in_space
 from ..robot.manipulator import Manipulator
-from ..statics.targets import Displacement, TipAngle
+from ..statics.targets import Displacement, TipAngle, TipTension, TotalTension
+from .grid import Goal
 
-Driven = ArrayLike | Displacement | Sequence[ArrayLike | Displacement | Sequence[ArrayLike]]
-NUM_AXES = {"tip_force": 1, "tip_moment": 0, "gravity": 1}  # without an axis of steps
+ALONG_A_PATH = Displacement, TipAngle, TipTension, TotalTension
+AlongAPath = Displacement | TipAngle | TipTension | TotalTension
+Driven = ArrayLike | AlongAPath | Sequence[ArrayLike | AlongAPath | Sequence[ArrayLike]]
 
 
 class Path(NamedTuple):
     """The given numbers after each step; the axis of steps comes first."""
 
-    tension: Float[Array, "steps tendons"]  # N; zero for a tendon that is driven by its displacement
-    displacement: Float[Array, "steps tendons"]  # m; zero for a tendon whose tension is given
+    tension: Float[Array, "steps tendons"]  # N; zero for a driven tendon
+    goal: Float[Array, "steps tendons"]  # m, rad or N of a driven tendon; zero for a tendon whose tension is given
     loads: Loads | None
     resting: Loads | None = None  # that act before the first step; without an axis of steps
 
@@ -38,7 +40,7 @@ class Path(NamedTuple):
             resting = jax.tree.map(lambda x: jnp.zeros_like(x[0]), self.loads)
         return Path(
             jnp.concatenate([tension[None].astype(self.tension.dtype), self.tension]),
-            jnp.concatenate([jnp.zeros_like(self.displacement[:1]), self.displacement]),
+            jnp.concatenate([jnp.zeros_like(self.goal[:1]), self.goal]),
             jax.tree.map(lambda first, loads: jnp.concatenate([first[None], loads]), resting, self.loads),
             self.resting,
         )
@@ -59,12 +61,13 @@ def as_numbers(values: object, name: str) -> Array:
     return array.astype(jnp.result_type(float, array))
 
 
-def _has_targets(base_tension: Driven | TipAngle) -> bool:
+def _has_targets(base_tension: Driven) -> bool:
     """Whether anything other than tensions is given."""
-    return any(not _is_numbers(entry) for entry in _entries(base_tension))
+    return any(not _is_numbers(entry) for entry in entries_of(base_tension))
 
 
-def _entries(base_tension: Driven | TipAngle) -> Sequence[object]:
+def entries_of(base_tension: Driven) -> Sequence[object]:
+    """One for each tendon, or a single one."""
     return base_tension if isinstance(base_tension, tuple | list) else [base_tension]
 
 
@@ -73,22 +76,29 @@ def _is_numbers(entry: object) -> bool:
 
 
 def given_path(
-    manipulator: Manipulator, base_tension: Driven | TipAngle, loads: Loads | Sequence[Loads] | None
-) -> tuple[Path, tuple[int, ...]]:
-    """The path, and the indices, from 0, of the tendons that are driven by their displacement.
+    manipulator: Manipulator, base_tension: Driven, loads: Loads | Sequence[Loads] | None
+) -> tuple[Path, tuple[Goal, ...]]:
+    """The path, and what is given of tendons whose tensions are not.
 
     The members of `loads` without an axis of steps act already before the first step.
 
     Raises:
         ValueError: for wrong shapes.
-        TypeError: for entries that are neither numbers nor `Displacement`.
+        TypeError: for entries that are neither numbers nor targets.
     """
-    tension, displacement, driven = _actuation(manipulator, base_tension)
-    along = _loads(loads, tension.shape[0])
-    return Path(tension, displacement, along, _resting(loads, along)), driven
+    tension, goal, driven = _actuation(manipulator, base_tension)
+    if manipulator.in_space and loads is not None:
+        loads = loads_in_space(loads) if isinstance(loads, Loads) else [loads_in_space(each) for each in loads]
+    num_axes = {"tip_force": 1, "tip_moment": int(manipulator.in_space), "gravity": 1}  # without an axis of steps
+    along = _loads(loads, tension.shape[0], num_axes)
+    path = Path(tension, goal, along, _resting(loads, along, num_axes))
+    if path.loads is None and any(each.quantity == "tip_angle" for each in driven):
+        still = Loads().with_components(manipulator.components)  # the headings are found with the loads
+        path = path.under(jax.tree.map(lambda x: jnp.asarray(x, tension.dtype), still))
+    return path, driven
 
 
-def _actuation(manipulator: Manipulator, base_tension: Driven | TipAngle) -> tuple[Array, Array, tuple[int, ...]]:
+def _actuation(manipulator: Manipulator, base_tension: Driven) -> tuple[Array, Array, tuple[Goal, ...]]:
     count = manipulator.num_tendons
     if not _has_targets(base_tension):
         tension = as_numbers(base_tension, "trace: base_tension")
@@ -99,32 +109,32 @@ def _actuation(manipulator: Manipulator, base_tension: Driven | TipAngle) -> tup
                 f"trace: base_tension must have the shape (steps, tendons), (steps, {count}) for this body, got {shape}"
             )
         return tension, jnp.zeros_like(tension), ()
-    entries = _entries(base_tension)
+    entries = entries_of(base_tension)
     if len(entries) != count:
         raise ValueError(
-            f"trace: with a Displacement, base_tension must hold one entry per tendon ({count}), got {len(entries)}; "
+            f"trace: with targets, base_tension must hold one entry per tendon ({count}), got {len(entries)}; "
             "give [Displacement(lengths[:, 0]), Displacement(lengths[:, 1]), ...], or the tensions of a tendon"
         )
     for entry in entries:
-        if not _is_numbers(entry) and not isinstance(entry, Displacement):
+        if not _is_numbers(entry) and not isinstance(entry, ALONG_A_PATH):
             raise TypeError(
-                "trace: with several tendons or loads, give tensions, N, or a Displacement for each one, got "
-                f"{type(entry).__name__}"
+                f"trace: give tensions, N, or one of {', '.join(kind.__name__ for kind in ALONG_A_PATH)} for each "
+                f"tendon, got {type(entry).__name__}"
             )
-    driven = tuple(i for i, entry in enumerate(entries) if isinstance(entry, Displacement))
+    driven = tuple(Goal(i, entry.quantity) for i, entry in enumerate(entries) if isinstance(entry, ALONG_A_PATH))
     values = [as_numbers(getattr(entry, "value", entry), "trace: base_tension") for entry in entries]
     if any(value.shape != values[0].shape or value.ndim != 1 or value.size == 0 for value in values):
         shapes = ", ".join(str(value.shape) for value in values)
         raise ValueError(f"trace: each tendon must have one number for each step, got the shapes {shapes}")
-    given, by_length = jnp.stack(values, axis=1), jnp.isin(jnp.arange(count), jnp.asarray(driven))
-    return jnp.where(by_length, 0.0, given), jnp.where(by_length, given, 0.0), driven
+    given, is_driven = jnp.stack(values, axis=1), np.isin(np.arange(count), [goal.tendon for goal in driven])
+    return jnp.where(is_driven, 0.0, given), jnp.where(is_driven, given, 0.0), driven
 
 
-def _resting(loads: Loads | Sequence[Loads] | None, along: Loads | None) -> Loads | None:
+def _resting(loads: Loads | Sequence[Loads] | None, along: Loads | None, num_axes: dict[str, int]) -> Loads | None:
     """The loads that act before the first step, those without an axis of steps; None where there are none."""
     if along is None or not isinstance(loads, Loads):
         return None
-    stays = {name: np.ndim(getattr(loads, name)) == count for name, count in NUM_AXES.items()}
+    stays = {name: np.ndim(getattr(loads, name)) == count for name, count in num_axes.items()}
     if not all(stays.values()) and not any(_acts(getattr(loads, name)) for name, stay in stays.items() if stay):
         return None
     first = {name: getattr(along, name)[0] for name in stays}
@@ -136,7 +146,7 @@ def _acts(load: Array) -> bool:
     return isinstance(load, Tracer) or bool(np.any(np.asarray(load) != 0))
 
 
-def _loads(loads: Loads | Sequence[Loads] | None, num_steps: int) -> Loads | None:
+def _loads(loads: Loads | Sequence[Loads] | None, num_steps: int, num_axes: dict[str, int]) -> Loads | None:
     """The loads after each step."""
     if loads is None:
         return None
@@ -147,10 +157,10 @@ def _loads(loads: Loads | Sequence[Loads] | None, num_steps: int) -> Loads | Non
             raise ValueError(f"trace: there are {num_steps} steps and {len(loads)} loads; give one for each step")
         return jax.tree.map(lambda *x: jnp.stack([jnp.asarray(value, float) for value in x]), *loads)
     arrays = {}
-    for name, num_axes in NUM_AXES.items():
+    for name, count in num_axes.items():
         value = jnp.asarray(getattr(loads, name), float)
-        shape = value.shape[value.ndim - num_axes :]
-        if value.ndim > num_axes + 1 or (value.ndim == num_axes + 1 and value.shape[0] != num_steps):
+        shape = value.shape[value.ndim - count :]
+        if value.ndim > count + 1 or (value.ndim == count + 1 and value.shape[0] != num_steps):
             raise ValueError(
                 f"trace: loads.{name} must have the shape {shape} or {(num_steps, *shape)}, got {value.shape}"
             )

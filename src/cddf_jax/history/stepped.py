@@ -1,8 +1,8 @@
-"""Pull and release with several tendons or with loads: the path is followed in short steps.
+"""Pull and release with several tendons or with loads: the path is followed in increments.
 
 Where tendons act on each other, or loads on the shape, a resting tendon does not keep its tension, and there is no
-closed form. So each step of the path, which is straight, is divided into short steps, and the slip of each tendon is
-followed. The error is estimated by two more passes, one with half as many cells and one with half as many short steps.
+closed form. So each step of the path, which is straight, is divided into increments, and the slip of each tendon is
+followed. Two more passes, with half as many elements and with half as many increments, estimate the error.
 """
 
 from functools import partial
@@ -11,9 +11,10 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..mechanics.fields import Fields
+from ..mechanics.fields import AnyFields
 from ..mechanics.problem import lay_out
 from ..numerics.arrays import varying_as, zero_as
 from ..robot.loads import Loads
@@ -21,17 +22,17 @@ from ..robot.manipulator import Manipulator
 from ..statics.arguments import harmless, is_physical
 from ..statics.equilibrium import nan_unless
 from ..statics.status import Status, first_of
-from .cells import Cells, cut_into_cells, forces_along
-from .differences import with_differences
+from .grid import Given, Goal, Grid, cut_into_elements, forces_on
 from .history import Energies, History, States
+from .increment import tendons_of
 from .instants import (
     AT_LIMIT,
-    Given,
     Instant,
     TipPose,
     at_rest,
     crosses,
     difference,
+    direction_of,
     fields_of_instant,
     fronts_of,
     moved,
@@ -39,37 +40,42 @@ from .instants import (
     shape_of,
     stored_in,
     tip_of,
+    under_no_loads,
 )
 from .path import Path
-from .short_step import Ends
 
 Number = Float[Array, ""]
 Flags = Bool[Array, " steps"]
-ACCURACY = 3e-2  # a step with a larger error estimate is called inaccurate
+ELEMENTS = 4  # times the nodes in each smooth piece of the body
+ACCURACY = 1e-2  # a step with a larger error estimate is called inaccurate
+TRIED = 3  # times the increments that are wanted: so many are tried, where some have to be cut
+LEAST_WIDTH = 1e-4  # part of a step, the least increment
 SAFETY = 2.0  # factor on the differences of the passes in the error estimate
 LEAST_ERROR = 1e-5  # the error that the softened law and the stretch of stiff tendons may cause
-LEAST_SLIP = 1e-6  # of the largest slip of a short step; a tendon that slips less rests
+LEAST_SLACK = 1e-9  # of an offset; a tendon that is so much longer than wanted is slack
+LEAST_SLIP = 1e-2  # of the largest slip of an increment; a tendon that slips less rests
 
 
 class Following(NamedTuple):
     """How a path is followed; static."""
 
-    driven: tuple[int, ...]  # the tendons whose displacement is given
-    num_cells: int
-    num_steps: int  # in each step of the path
+    driven: tuple[Goal, ...]
+    num_elements: int  # in each smooth piece of the body
+    num_increments: int  # in each step of the path
+    estimated: bool = True  # whether two more passes estimate the error
 
 
 class SteppedStates(States):
     """The bodies after all steps of a path."""
 
     manipulator: Manipulator
-    passes: Instant  # first axis: the fine pass, that with rough cells, that with rough steps; second axis: steps
+    passes: Instant  # first axis: fine, with rough elements, with rough increments; second axis: steps
     loads: Loads  # after the last step
-    num_cells: int = eqx.field(static=True)
+    num_elements: int = eqx.field(static=True)
 
     @property
-    def cells(self) -> Cells:
-        return cut_into_cells(self.manipulator, self.num_cells)
+    def grid(self) -> Grid:
+        return cut_into_elements(self.manipulator, self.num_elements)
 
     @property
     def instants(self) -> Instant:
@@ -78,34 +84,43 @@ class SteppedStates(States):
 
     @property
     def arc_length(self) -> Float[Array, " points"]:
-        return self.cells.edges
+        return self.grid.places
 
     def energies(self) -> Energies:
-        stored = jax.vmap(partial(stored_in, self.cells))(self.instants)
-
-        # the error of the trapezoidal rule falls with the square of the step; its part of the work counts as lost
+        stored = jax.vmap(partial(stored_in, self.grid))(self.instants)
+        # the error of the trapezoidal rule falls with the square of the increment; its part of the work counts as lost
         fine, _, rough = self.passes.work
         more = (fine - rough) / 3
         return Energies(fine + more, self.instants.friction_loss + more, stored)
 
-    def fields(self, arc_length: Float[Array, " points"]) -> Fields:
-        shapes = jax.vmap(partial(shape_of, self.cells))(self.instants)
-        at_points = jax.vmap(partial(fields_of_instant, self.manipulator, self.cells), (None, None, 0))
-        return jax.vmap(at_points, (0, 0, None))(self.instants, shapes, arc_length)
+    def fields(self, arc_length: Float[Array, " points"]) -> AnyFields:
+        grid, instants = self.grid, self.instants
+        shapes = jax.vmap(partial(shape_of, grid))(instants)
+        at_points = jax.vmap(partial(fields_of_instant, grid), (None, None, 0))
+        return jax.vmap(at_points, (0, 0, None))(instants, shapes, arc_length)
 
     def sliding(self, arc_length: Float[Array, " points"]) -> Float[Array, "steps *tendons points"]:
-        slid = self.instants.slid
+        slid, places = self.instants.slid, self.grid.places
         moves = jnp.abs(slid) > LEAST_SLIP * jnp.max(jnp.abs(slid), axis=(1, 2), keepdims=True)
-        slides = moves & (jnp.abs(self.instants.step.share) > 1 - AT_LIMIT)
-        found = jnp.moveaxis(jnp.where(slides, jnp.sign(slid), 0.0)[:, self.cells.at(arc_length)], 1, -1)
+        slides = moves & (jnp.abs(self.instants.body.share) > 1 - AT_LIMIT)
+        element = jnp.clip(jnp.sum(places <= arc_length[:, None], axis=1) - 1, 0, places.size - 2)
+        found = jnp.moveaxis(jnp.where(slides, jnp.sign(slid), 0.0)[:, element], 1, -1)
         return found[:, 0] if found.shape[1] == 1 else found
 
 
 class _Rough(NamedTuple):
     """How a pass differs from the fine one. The difference of their results estimates the error."""
 
-    cells: Number  # 1 for half as many, else 0
-    steps: Number  # 1 for half as many short steps, else 0
+    elements: Number  # 1 for half as many, else 0
+    increments: Number  # 1 for half as many, else 0
+
+
+class _SoFar(NamedTuple):
+    """How far a step has come."""
+
+    instant: Instant
+    done: Number  # part of the step
+    width: Number  # of the next increment, as a part of the step
 
 
 # --- along the path -------------------------------------------------------------------------------
@@ -121,44 +136,62 @@ def _followed(
         start: the instant before the first step; None for rest.
         rough: how the pass differs from the fine one.
     """
-    cells = cut_into_cells(manipulator, kind.num_cells, rough.cells)
+    grid = cut_into_elements(manipulator, kind.num_elements, rough.elements)
     zero = zero_as(manipulator, path)  # under shard_map all of them vary over the devices, or none
     path = path.behind(jnp.zeros_like(path.tension[0])) if start is None else path
-    given = varying_as(_given(manipulator, cells, path, kind, rough.cells), zero)
+    given = varying_as(_given(grid, path), zero)
     if start is None:
-        start = at_rest(manipulator, cells, jax.tree.map(lambda x: x[0], given), path.resting)
+        start = at_rest(grid, jax.tree.map(lambda x: x[0], given), path.resting)
         given = jax.tree.map(lambda x: x[1:], given)
-    start = varying_as(start, zero)
-    counts = jnp.arange(1, kind.num_steps + 1)
-    driven = jnp.asarray(kind.driven, int)
+    elif path.loads is not None and start.given.force is None:
+        start = under_no_loads(grid, start)
+    goal = start.given.goal
+    for each in kind.driven:
+        goal = goal.at[each.tendon].set(grid.reading(start.body.nodes, each))
+    start = varying_as(start._replace(given=start.given._replace(goal=goal)), zero)
+    driven = tendons_of(kind.driven)
+
+    least = (1.0 + rough.increments) / kind.num_increments  # two as one
 
     def advance(instant: Instant, to: Given) -> tuple[Instant, Instant]:
         before = instant.given
 
-        def part(instant: Instant, count: Array) -> tuple[Instant, None]:
-            here = jax.tree.map(lambda a, b: a + count / kind.num_steps * (b - a), before, to)
-            left_out = (rough.steps > 0) & ((kind.num_steps - count) % 2 == 1)
-            moves = partial(moved, cells, kind.driven)
-            return jax.lax.cond(left_out, lambda instant, _: instant, moves, instant, here), None
+        def part(so_far: _SoFar, _: None) -> tuple[_SoFar, None]:
+            onto = jnp.minimum(so_far.done + so_far.width, 1.0)
+            here = jax.tree.map(lambda a, b: a + onto * (b - a), before, to)
+            over = (so_far.done >= 1.0) | (so_far.width < LEAST_WIDTH) | ~so_far.instant.body.converged
 
-        instant = jax.lax.scan(part, instant, counts)[0]
-        edges, ends = instant.step.edges, instant.given.ends
-        tension = ends.base_tension.at[driven].set(edges.tension[0, driven])  # as it was found
-        found = to._replace(ends=ends._replace(base_tension=tension, displacement=cells.pulled_in(edges)))
-        return instant._replace(given=to), instant._replace(given=found)
+            def onwards(so_far: _SoFar) -> _SoFar:
+                new = moved(grid, kind.driven, so_far.instant, here)
+                cut = _SoFar(so_far.instant, so_far.done, so_far.width / 4)
+                went = _SoFar(new, onto, jnp.minimum(2 * so_far.width, least))
+                return jax.tree.map(partial(jnp.where, new.body.converged), went, cut)
+
+            return jax.lax.cond(over, lambda so_far: so_far, onwards, so_far), None
+
+        none = 0.0 * instant.work
+        first = _SoFar(instant, none, none + least)
+        end = jax.lax.scan(part, first, None, TRIED * kind.num_increments)[0]
+        nodes, converged = end.instant.body.nodes, end.instant.body.converged & (end.done >= 1.0)
+        instant = end.instant._replace(body=end.instant.body._replace(converged=converged), given=to)
+        tension = to.base_tension.at[driven].set(nodes.tension[0, driven])  # as it was found
+        return instant, instant._replace(given=to._replace(base_tension=tension))
 
     instants = jax.lax.scan(advance, start, given)[1]
-    tip = jax.vmap(partial(tip_of, cells))(instants)
-    return instants, tip, fronts_of(cells, instants.step.share), jax.vmap(partial(crosses, cells))(instants)
+    tip = jax.vmap(partial(tip_of, grid))(instants)
+    return (
+        instants,
+        tip,
+        fronts_of(grid, instants.body.share, instants.slid),
+        jax.vmap(partial(crosses, grid))(instants),
+    )
 
 
-def _given(manipulator: Manipulator, cells: Cells, path: Path, kind: Following, rough: Number) -> Given:
-    count = path.tension.shape[0]
+def _given(grid: Grid, path: Path) -> Given:
     if path.loads is None:
-        outboard = jnp.zeros((count, *cells.sections.stiffness.shape, 2), path.tension.dtype)
-        return Given(Ends(path.tension, path.displacement, jnp.zeros(count, path.tension.dtype)), outboard)
-    outboard = jax.vmap(partial(forces_along, manipulator, kind.num_cells, rough))(path.loads)
-    return Given(Ends(path.tension, path.displacement, jnp.asarray(path.loads.tip_moment)), outboard)
+        return Given(path.tension, path.goal, None, None)
+    forces = jax.vmap(partial(forces_on, grid))(path.loads)
+    return Given(path.tension, path.goal, forces, jnp.asarray(path.loads.tip_moment))
 
 
 # --- the history of a path ------------------------------------------------------------------------
@@ -166,7 +199,7 @@ def _given(manipulator: Manipulator, cells: Cells, path: Path, kind: Following, 
 
 @partial(jax.jit, static_argnames="kind")
 def stepped_history(manipulator: Manipulator, path: Path, start: SteppedStates | None, kind: Following) -> History:
-    """The history of a path, with an error estimate from two passes with half the cells and with half the steps.
+    """The history of a path; without an estimate of its error the estimate is the least error.
 
     Args:
         manipulator: the body.
@@ -174,45 +207,42 @@ def stepped_history(manipulator: Manipulator, path: Path, start: SteppedStates |
         start: the states that the path continues; None for rest.
         kind: how to follow the path; static.
     """
-    wanted, ones = path, jnp.ones_like(path.tension[0])
+    wanted = path
     manipulator, path, physical = _checked(manipulator, path)
     last = None if start is None else jax.tree.map(lambda x: x[:, -1], start.passes)
     follow = partial(_followed, manipulator, path, kind)
-    rough = _Rough(cells=jnp.array([0.0, 1.0, 0.0]), steps=jnp.array([0.0, 0.0, 1.0]))
+    rough = _Rough(jnp.array([0.0, 1.0, 0.0]), jnp.array([0.0, 0.0, 1.0]))
+    rough = rough if kind.estimated else jax.tree.map(lambda x: x[:1], rough)
     if last is None:
         passes, tips, fronts, crossing = jax.lax.map(lambda rough: follow(None, rough), rough)
     else:
         passes, tips, fronts, crossing = jax.lax.map(lambda given: follow(*given), (last, rough))
-    cells = cut_into_cells(manipulator, kind.num_cells)
+    grid = cut_into_elements(manipulator, kind.num_elements)
     instants, tip = jax.tree.map(lambda x: x[0], (passes, tips))
     others = jax.tree.map(lambda x: x[1:], tips)
-    apart = jax.vmap(jax.vmap(partial(difference, cells)), (None, 0))(tip, others)
-    error = LEAST_ERROR + SAFETY * jnp.sum(apart, axis=0) + jax.vmap(partial(pushed, cells))(instants, tip)
-    step = instants.step
-    good = physical & jnp.all(passes.step.converged, axis=0)
-    numbers = jax.vmap(nan_unless)(good, (instants.given.ends, tip, error, fronts[0]))
-    ends, tip, error, front = numbers
-    states = SteppedStates(manipulator, passes, _last(path), kind.num_cells)
-    slack = jnp.zeros_like(good)
-    if kind.driven:
-        short = instants.given.ends.displacement - path.displacement > 1e-9 * cells.scale
-        slack = jnp.any(short[:, list(kind.driven)], axis=1)
+    apart = jax.vmap(jax.vmap(partial(difference, grid)), (None, 0))(tip, others)
+    error = LEAST_ERROR + SAFETY * jnp.sum(apart, axis=0) + jax.vmap(partial(pushed, grid))(instants, tip)
+    good = physical & jnp.all(passes.body.converged, axis=0)
+    states = SteppedStates(manipulator, passes, _last(grid, path), kind.num_elements)
+    pulled_in, pull = jax.vmap(grid.pulled_in)(instants.body.nodes), instants.given.base_tension
+    pull, pulled_in, tip, error, front = jax.vmap(nan_unless)(good, (pull, pulled_in, tip, error, fronts[0]))
+    driven = tendons_of(kind.driven)
+    by_length = np.array([goal.quantity == "displacement" for goal in kind.driven], bool)
+    slack = jnp.any(by_length & ((pulled_in - path.goal)[:, driven] > LEAST_SLACK * grid.scale), axis=1)
+    pushes = jnp.any(~by_length & (pull[:, driven] < 0.0), axis=1)
+    geometry, share = grid.geometry, instants.body.share
     return History(
-        base_tension=jnp.where(
-            jnp.isin(jnp.arange(ones.size), jnp.asarray(kind.driven)), ends.base_tension, wanted.tension
-        )
-        if kind.driven
-        else wanted.tension,
+        base_tension=wanted.tension.at[:, driven].set(pull[:, driven]),
         tip_tension=tip.tension,
-        tip_angle=tip.heading,
+        tip_angle=jax.vmap(geometry.tip_angle)(tip.heading),
         tip_position=tip.position,
-        tip_frame=None,
-        direction=jnp.where(step.share[:, 0] < 0, -1.0, 1.0),
+        tip_frame=jax.vmap(geometry.tip_frame)(tip.heading),
+        direction=direction_of(share, instants.slid),
         front=front,
         num_turns=None,
-        tendon_displacement=ends.displacement,
+        tendon_displacement=pulled_in,
         error_estimate=error,
-        status=_status(physical, good, crossing[0], error, slack),
+        status=_status(physical, good, crossing[0], error, slack, pushes),
         _states=states,
     )
 
@@ -228,53 +258,14 @@ def _checked(manipulator: Manipulator, path: Path) -> tuple[Manipulator, Path, B
     return manipulator, path, usable & finite & is_physical(asked, ones, ones, laid_out)
 
 
-class Tips(NamedTuple):
-    """The tip after each step; flags are 1 for yes."""
-
-    tension: Float[Array, "steps tendons"]  # N
-    heading: Float[Array, " steps"]  # rad
-    position: Float[Array, "steps 2"]  # m
-    physical: Float[Array, " steps"]
-    good: Float[Array, " steps"]
-    crossing: Float[Array, " steps"]
-
-
-def tips_along(manipulator: Manipulator, path: Path, kind: Following) -> Tips:
-    """The tip along a path from rest, by one pass and without an error estimate; NaN where a step failed.
-
-    Derivatives are differences, in forward mode. Those of the equations hold fronts fixed within their cells, and are
-    accurate to a few per cent only.
-
-    Args:
-        manipulator, path, kind: as in `stepped_history`.
-    """
-
-    def tips(given: tuple[Manipulator, Path]) -> Tips:
-        manipulator, path, physical = _checked(*given)
-        none = jnp.zeros((), path.tension.dtype)
-        instants, tip, _, crossing = _followed(manipulator, path, kind, None, _Rough(none, none))
-        good = physical & instants.step.converged
-        tip = jax.vmap(nan_unless)(good, tip)
-        flags = (flag.astype(path.tension.dtype) for flag in (physical, good, crossing))
-        return Tips(tip.tension, tip.heading, tip.position, *flags)
-
-    return with_differences(tips, (manipulator, path))
-
-
-def status_of_tips(tips: Tips) -> Int[Array, " steps"]:
-    """How each step ended."""
-    physical, good, crossing = (flag > 0 for flag in (tips.physical, tips.good, tips.crossing))
-    fine = jnp.zeros_like(tips.heading)
-    return _status(physical, good, crossing, fine, fine > 0)
-
-
 def _status(
-    physical: Flags, good: Flags, crossing: Flags, error: Float[Array, " steps"], slack: Flags
+    physical: Flags, good: Flags, crossing: Flags, error: Float[Array, " steps"], slack: Flags, pushes: Flags
 ) -> Int[Array, " steps"]:
     return first_of(
         (~physical, Status.unphysical),
         (~good, Status.not_converged),
         (crossing, Status.crossing),
+        (pushes, Status.unreachable),
         (error > ACCURACY, Status.inaccurate),
         (slack, Status.slack),
     )
@@ -318,9 +309,9 @@ def _usable(path: Path) -> Bool[Array, " steps"]:
     return finite & jnp.all(path.tension >= 0, axis=1)
 
 
-def _last(path: Path) -> Loads:
-    none = jnp.zeros(2), jnp.zeros(()), jnp.zeros(2)
-    return Loads(*none) if path.loads is None else jax.tree.map(lambda x: x[-1], path.loads)
+def _last(grid: Grid, path: Path) -> Loads:
+    force, moment = jnp.zeros(grid.geometry.components), jnp.zeros(grid.geometry.no_moment.shape)
+    return Loads(force, moment, force) if path.loads is None else jax.tree.map(lambda x: x[-1], path.loads)
 
 
 def _first(loads: Loads | None) -> Loads | None:

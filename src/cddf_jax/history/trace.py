@@ -22,10 +22,11 @@ from ..statics.equilibrium import nan_unless
 from ..statics.response import tip_compliance
 from ..statics.status import Status, words_of
 from ..statics.targets import Displacement, TipAngle
+from .grid import Goal
 from .history import GOOD, History
-from .path import Driven, Path, as_numbers, given_path
+from .path import ALONG_A_PATH, Driven, Path, as_numbers, entries_of, given_path
 from .play_operator import Before, CongruentStates, congruent_history
-from .stepped import ACCURACY, Following, SteppedStates, after_first, squeezed, stepped_history
+from .stepped import ACCURACY, ELEMENTS, Following, SteppedStates, after_first, squeezed, stepped_history
 
 LEAST_MOVE = 1e-6  # of the tip by a push, over the length and in rad; steps settle to some 1e-8 of them
 BOTH_GIVEN = "trace: before and start both give the history before the first step; leave one of them out"
@@ -33,7 +34,7 @@ BOTH_GIVEN = "trace: before and start both give the history before the first ste
 
 def trace(
     manipulator: Manipulator,
-    base_tension: Driven | TipAngle,
+    base_tension: Driven,
     loads: Loads | Sequence[Loads] | None = None,
     *,
     before: ArrayLike | Literal["rest"] = "rest",
@@ -45,9 +46,9 @@ def trace(
 ) -> History:
     """Pull and release a manipulator, from rest.
 
-    One tendon without loads has an exact answer, in the plane and in space. Several tendons, and loads, are possible in
-    the plane. They are followed in short steps with cells of finite length; `error_estimate` compares with results for
-    half as many steps and for half as many cells.
+    One tendon without loads has an exact answer, in the plane and in space. Several tendons and loads are followed in
+    increments with elements of finite length; `error_estimate` compares with results for half as many increments and
+    for half as many elements. An increment that does not settle is cut; where that does not help, the step says so.
     Works under jit, vmap, grad and scan. Derivatives are continuous where fronts move; at a turn they are those of the
     direction in which the step went. With several tendons or loads only first derivatives are valid, and 64-bit numbers
     are needed.
@@ -55,12 +56,13 @@ def trace(
     Args:
         manipulator: the body.
         base_tension: T_base >= 0, N, after each step, in the order of time: (steps,) for one tendon, or (steps,
-            tendons). Between two steps the tensions change linearly. `Displacement([...])`, m, after each step is also
-            possible, and for one tendon without loads `TipAngle([...])`, rad; then the tensions are found. In space a
-            tip angle must grow while the tendon is pulled; where it does not, the status of the step is `unreachable`.
-            Several tendons may have an entry (steps,) each, some of them a `Displacement`. A tendon that would have to
-            push is slack until it is pulled in again. The status of such a step is `slack`, which is not an error; its
-            displacement is that at which the tendon became slack.
+            tendons). Between two steps the tensions change linearly. `Displacement([...])`, m, or `TipAngle([...])`,
+            rad, after each step is also possible; then the tensions are found. Several tendons may have an entry
+            (steps,) each, some of them a `Displacement`, `TipAngle`, `TipTension` or `TotalTension`. A tendon of given
+            displacement that would have to push is slack until it is pulled in again. The status of such a step is
+            `slack`, which is not an error; its displacement is that at which the tendon became slack. Where another
+            target asks a tendon to push, the status is `unreachable`; so it is for one tendon in space whose tip angle
+            does not grow while it is pulled.
         loads: `Loads`. Each of tip_force, tip_moment and gravity either acts already before the first step and stays,
             or has a leading axis of steps, one load after each step; then it starts from zero. So gravity can rest on
             the body while a force changes. A list of `Loads`, one for each step, starts from no loads. None for no
@@ -68,23 +70,22 @@ def trace(
         before: the largest base tension, N, that the tendon had before it was released to the first step; "rest" for
             tendons that never had a tension. For several tendons, (tendons,), and under loads, it is a step before the
             first, to which all tensions rise linearly from rest; loads that change along the path come after it.
-        start: the history of the same body that continues, in place of `before`. Its cells are kept, not `nodes`.
-            The carry of `jax.lax.scan` must keep its structure: begin with a history that continues another one,
-            `trace(body, [0.0], start=trace(body, [0.0]))`, and give the same number of steps each time.
-        nodes: Gauss nodes in each smooth piece of the body, 4 or more; static. With several tendons or loads the body
-            is cut into four times as many cells.
+        start: the history of the same body that continues, in place of `before`. Its elements are kept, not `nodes`.
+            The carry of `jax.lax.scan` must keep its structure: begin with `trace(body, [0.0])` for as many steps as
+            are given each time.
+        nodes: Gauss nodes in each smooth piece of the body, 4 or more; static. With several tendons or loads the piece
+            has four times as many elements.
         max_turns: how many turns can be remembered at once, 1 or more; static. Where there are more, the status of the
             step is `too_many_turns`. A loop closes when a tension passes the turn before: then two turns are forgotten.
             With several tendons or loads there is no such limit.
-        short_steps: into how many short steps each step is divided with several tendons or loads, 2 or more; static. A
+        short_steps: into how many increments each step is divided with several tendons or loads, 2 or more; static. A
             path of many steps needs fewer.
         throw: raise an error if a step failed, where the values are known.
 
     Raises:
         SolveError: with `throw`, when a step failed; it names the step.
         ValueError: for tensions or loads of a wrong shape, both `before` and `start`, nodes below 4, max_turns
-            below 1, short_steps below 2, a `start` of another kind of path, or 32-bit numbers where 64 bits are needed;
-            in space for several tendons or loads.
+            below 1, short_steps below 2, a `start` of another kind of path, or 32-bit numbers where 64 bits are needed.
         TypeError: if an argument has the wrong type.
     """
     if not isinstance(manipulator, Manipulator):
@@ -99,12 +100,12 @@ def trace(
         raise TypeError(f"trace: start must be a History, got {type(start).__name__}")
     if start is not None:
         _check_same_body(manipulator, start)
-    if manipulator.num_tendons == 1 and loads is None and not (start and isinstance(start._states, SteppedStates)):
+    if _is_exact(manipulator, base_tension, loads, start):
         quantity, values = _path(base_tension)
         if manipulator.in_space and not isinstance(values, Tracer):
             check_range_in_space("trace", quantity, values)
-        past = _before(before, start, values.dtype)
-        _check_largest(past, start, quantity, values)
+        past = _before(before, start, max_turns, values.dtype)
+        _check_largest(past, quantity, values)
         program = partial(congruent_history, manipulator, values, past, nodes, max_turns, quantity)
     else:
         program = partial(_in_short_steps, manipulator, base_tension, loads, before, start, nodes, short_steps)
@@ -118,35 +119,36 @@ def trace(
     return history
 
 
-def _check_driven(base_tension: Driven | TipAngle) -> None:
+def _is_exact(manipulator: Manipulator, base_tension: Driven, loads: object, start: History | None) -> bool:
+    """Whether the path has an exact answer."""
+    driven = [entry for entry in entries_of(base_tension) if isinstance(entry, ALONG_A_PATH)]
+    followed = start is not None and isinstance(start._states, SteppedStates)
+    known = all(isinstance(entry, Displacement | TipAngle) for entry in driven)
+    return manipulator.num_tendons == 1 and loads is None and known and not followed
+
+
+def _check_driven(base_tension: Driven) -> None:
     """Refuse targets of `solve` that drive no tendon along a path."""
-    for entry in base_tension if isinstance(base_tension, tuple | list) else [base_tension]:
-        if isinstance(entry, eqx.Module) and not isinstance(entry, Displacement | TipAngle):
+    for entry in entries_of(base_tension):
+        if isinstance(entry, eqx.Module) and not isinstance(entry, ALONG_A_PATH):
+            kinds = ", ".join(kind.__name__ for kind in ALONG_A_PATH)
             raise TypeError(
-                f"trace: a path may hold base tensions, Displacement or TipAngle, got {type(entry).__name__}; give the "
-                "tension or the length pulled in after each step (solve finds tensions without a history: they are "
-                "right up to the first turn only)"
+                f"trace: a path may hold base tensions, {kinds}, got {type(entry).__name__}; give the tension or the "
+                "length pulled in after each step (solve finds tensions without a history: they are right up to the "
+                "first turn only)"
             )
 
 
-def _as_known(
-    manipulator: Manipulator, base_tension: Driven | TipAngle, loads: Loads | Sequence[Loads] | None
-) -> Manipulator:
+def _as_known(manipulator: Manipulator, base_tension: Driven, loads: Loads | Sequence[Loads] | None) -> Manipulator:
     """The body, with an angle of its tendon where it is in space; refuse what `trace` cannot follow in space."""
     given = loads if isinstance(loads, tuple | list) else [loads]
-    if not manipulator.in_space and not any(isinstance(entry, Loads) and entry.in_space for entry in given):
-        return manipulator
-    if manipulator.num_tendons > 1 or loads is not None:
-        raise ValueError(
-            "trace: in space only one tendon without loads can be followed; leave the other tendons and the loads out, "
-            "or use solve with a direction for each tendon"
-        )
-    return in_space(manipulator)
+    turned = manipulator.in_space or any(isinstance(entry, Loads) and entry.in_space for entry in given)
+    return in_space(manipulator) if turned else manipulator
 
 
-def _check_largest(past: Before, start: History | None, quantity: str, values: Array) -> None:
+def _check_largest(past: Before, quantity: str, values: Array) -> None:
     """Refuse a `before` that is smaller than the tension of the first step, where the numbers are known."""
-    if start is not None or past.open_tension.size == 0 or isinstance(past.open_tension, Tracer):
+    if past.work_and_loss is not None or isinstance(past.open_tension, Tracer):  # from rest, or after a history
         return
     largest = float(past.open_tension[0])
     first = 0.0 if quantity != "base_tension" or isinstance(values, Tracer) else float(values[0])
@@ -168,7 +170,7 @@ def _check_same_body(manipulator: Manipulator, start: History) -> None:
 
 def _in_short_steps(
     manipulator: Manipulator,
-    base_tension: Driven | TipAngle,
+    base_tension: Driven,
     loads: Loads | Sequence[Loads] | None,
     before: ArrayLike | Literal["rest"],
     start: History | None,
@@ -187,9 +189,9 @@ def _in_short_steps(
             "trace: several tendons or loads need 64-bit numbers; jax.config.update('jax_enable_x64', True) first"
         )
     states = None if start is None else start._states
-    kind = Following(driven, 4 * nodes, short_steps)
+    kind = Following(driven, ELEMENTS * nodes, short_steps)
     if isinstance(states, SteppedStates):
-        kind = kind._replace(num_cells=states.num_cells)
+        kind = kind._replace(num_elements=states.num_elements)
     elif states is not None:
         raise ValueError("trace: start is a history of one tendon without loads; trace it with loads from rest on")
     history = stepped_history(manipulator, path, states, kind)
@@ -198,7 +200,7 @@ def _in_short_steps(
 
 
 def _earlier(
-    manipulator: Manipulator, before: ArrayLike | Literal["rest"], start: History | None, driven: tuple[int, ...]
+    manipulator: Manipulator, before: ArrayLike | Literal["rest"], start: History | None, driven: tuple[Goal, ...]
 ) -> Float[Array, " tendons"] | None:
     """The tensions of the step before the first; None where there is no such step."""
     if isinstance(before, str) and before == "rest":
@@ -219,7 +221,7 @@ def _earlier(
     return tension
 
 
-def _path(given: Driven | TipAngle) -> tuple[str, Float[Array, " steps"]]:
+def _path(given: Driven) -> tuple[str, Float[Array, " steps"]]:
     """The name of the given quantity, and its values."""
     if isinstance(given, tuple | list) and len(given) == 1 and isinstance(given[0], Displacement | TipAngle):
         given = given[0]
@@ -235,14 +237,16 @@ def _path(given: Driven | TipAngle) -> tuple[str, Float[Array, " steps"]]:
     return quantity, numbers
 
 
-def _before(before: ArrayLike | Literal["rest"], start: History | None, dtype: jnp.dtype) -> Before:
+def _before(before: ArrayLike | Literal["rest"], start: History | None, max_turns: int, dtype: jnp.dtype) -> Before:
     at_rest = isinstance(before, str) and before == "rest"
     if not at_rest and (isinstance(before, str) or np.ndim(before) != 0):
         raise ValueError(f'trace: before must be "rest" or the largest base tension, N, got {before!r}')
     if not at_rest:
         check_numbers("trace: before", before)
     if start is None:
-        return Before(jnp.zeros(0, dtype) if at_rest else jnp.asarray(before, dtype)[None])
+        if at_rest:  # with the shapes of a history that continues another one
+            return Before(jnp.zeros(max_turns, dtype), jnp.zeros(2, dtype))
+        return Before(jnp.asarray(before, dtype)[None])
     if not at_rest:
         raise ValueError(BOTH_GIVEN)
     states = start._states
@@ -283,7 +287,7 @@ def _(history: History, *, push: ArrayLike | Sequence[float] | None = None, shor
     Args:
         history: of `trace`.
         push: the force (X, Y), N, in addition to the loads.
-        short_steps: into how many short steps the push is divided, 2 or more; static.
+        short_steps: into how many increments the push is divided, 2 or more; static.
 
     Raises:
         ValueError: for a body in space, a push without two components or of 0 N, or short_steps below 2.
@@ -305,7 +309,7 @@ def _(history: History, *, push: ArrayLike | Sequence[float] | None = None, shor
     states = history._states
     if isinstance(states, CongruentStates):
         path = Path(states.path[:, None], jnp.zeros_like(states.path)[:, None], None)
-        kind = Following((), 4 * states.nodes, short_steps)
+        kind = Following((), ELEMENTS * states.nodes, short_steps)
         history = stepped_history(states.manipulator, path, None, kind)
         states = history._states
     assert isinstance(states, SteppedStates)
@@ -313,7 +317,7 @@ def _(history: History, *, push: ArrayLike | Sequence[float] | None = None, shor
     pushed = Loads(tip_force=force, tip_moment=states.loads.tip_moment, gravity=states.loads.gravity)
     tension = history.base_tension[-1:].reshape(1, -1)
     path = Path(tension, jnp.zeros_like(tension), jax.tree.map(lambda x: x[None], pushed))
-    after = stepped_history(states.manipulator, path, states, Following((), states.num_cells, short_steps))
+    after = stepped_history(states.manipulator, path, states, Following((), states.num_elements, short_steps))
 
     if not isinstance(after.status, Tracer) and np.ndim(after.status) == 1 and np.any(np.isnan(after.tip_angle)):
         raise SolveError("tip_compliance: no equilibrium was found under the push; push less, or raise short_steps=")

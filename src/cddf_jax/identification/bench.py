@@ -27,12 +27,12 @@ from ..mechanics.capstan import pulling_tension
 from ..progress import stage
 from ..quantities import TAKE_THE_PLANE
 from ..robot.loads import Loads
-from ..robot.manipulator import Manipulator
+from ..robot.manipulator import Manipulator, in_space
 from ..robot.validation import check_weight
 from ..statics.equilibrium import Equilibrium
 from ..statics.solve import solve
 from ..units import shown
-from .course import WITHOUT, Course, Shown, tip_forces
+from .course import Course, Shown, tip_forces
 from .parameters import PARAMETERS, PLAIN, TRIALS, BenchSetting, Parameters, turn_of, with_deviation, with_parameters
 
 LANES = 128  # rows are solved in multiples of this number, so that tables and curves share compiled programs
@@ -84,7 +84,7 @@ class AllRows(eqx.Module):
     def loads_with(self, tip_force: Array | None, parameters: Parameters, components: int = 2) -> Loads | None:
         """All loads of a row, with gravity turned by the parameters; tip forces may have an axis of steps."""
         if self.loads is None:
-            return None if tip_force is None else Loads(tip_force=tip_force)
+            return None if tip_force is None else Loads(tip_force=tip_force).with_components(components)
         loads, turn = self.loads.with_components(components), turn_of(parameters, "gravity_turn")
         if turn is not None:
             loads = replace(loads, gravity=seen(jnp.asarray(loads.gravity), jnp.zeros(3), turn))
@@ -137,21 +137,6 @@ class Bench(eqx.Module):
         """Whether the rows are solved in space; static."""
         return self.components(manipulator) == 3
 
-    def check_course(self, manipulator: Manipulator) -> None:
-        """Refuse markers and a body in space where the history is followed in short steps.
-
-        Raises:
-            InputError: for such a body, or markers.
-        """
-        if self.course is None or self.course.short_steps is None:
-            return
-        for there, what in ((self.setting.marker_names, "markers"), (self.in_space(manipulator), "a body in space")):
-            if there:
-                raise InputError(
-                    f"a history with {what} is possible for one tendon without loads only; {WITHOUT}, or leave out the "
-                    "other tendons and the loads"
-                )
-
     def one_by_one(self, manipulator: Manipulator) -> bool:
         """Whether rows are solved one after the other; static.
 
@@ -163,15 +148,16 @@ class Bench(eqx.Module):
     def shown(self, manipulator: Manipulator, parameters: Parameters, nodes: int) -> Shown:
         """What instruments without errors show of the rows, each in equilibrium."""
         parameters = {**self.setting.given, **parameters}
-        body = with_parameters(manipulator, parameters)
+        body, components = with_parameters(manipulator, parameters), self.components(manipulator)
         by_trial = self.trial is not None and TRIALS in parameters
         deviation = jnp.asarray(parameters[TRIALS])[self.trial] if by_trial else None
         if self.course is not None:
             tension = _true_tension(parameters, self.course.path(parameters))
             of_trial = None if deviation is None else deviation[self.course.first_row]
-            loads_with = partial(self.setting.loads_with, parameters=parameters)
+            loads_with = partial(self.setting.loads_with, parameters=parameters, components=components)
+            body = in_space(body) if components == 3 else body
             return self.course.trace(body, tension, loads_with, self.setting.markers_on, of_trial, nodes)
-        tension, components = _true_tension(parameters, jnp.asarray(self.base_tension)), self.components(body)
+        tension = _true_tension(parameters, jnp.asarray(self.base_tension))
 
         def one(tension, direction, force, deviation):
             loads = self.setting.loads_with(force, parameters, components)
@@ -387,7 +373,6 @@ def experiment_of(
             AllRows.of(setting, found),
         )
         _check_body(table, bench, manipulator, zero_is_free="angle_zero" in free)
-        bench.check_course(manipulator)
     return bench
 
 

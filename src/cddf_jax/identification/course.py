@@ -15,7 +15,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 from ..errors import InputError
 from ..history.history import History
 from ..history.path import given_path
-from ..history.stepped import Following, status_of_tips, tips_along
+from ..history.stepped import ELEMENTS, Following, stepped_history
 from ..history.trace import trace
 from ..measurements.holds import NO_STEP
 from ..measurements.jitter import Steady, without_jitter
@@ -29,7 +29,6 @@ STEPS = 16  # paths are traced in multiples of this number, so that tables share
 FEW_STEPS = 4  # the same for paths that are followed in short steps
 SHORT_STEPS = 4  # in each step of a path without an exact answer
 MOST_REMEMBERED = 60  # turns whose effect on later rows counts in the errors of base tensions
-CELLS = 2  # number of cells over number of nodes
 WITHOUT = "give history=False (--no-history), which lets each tendon slide one way in each row"
 
 
@@ -153,27 +152,31 @@ class Course(eqx.Module):
             body: whose tendons are pulled.
             tension: (trials, path, tendons), true base tensions of `path`, N.
             loads_with: gives all loads for a tip force, of one row or of all steps of a path.
-            markers_on: gives the markers after each step; not called for paths that are followed in short steps.
+            markers_on: gives the markers after each step.
             deviation: (trials,), ln(mu of a trial / mu), or None.
-            nodes: as in `trace`; in short steps there are twice as many cells as nodes.
+            nodes: as in `trace`.
         """
 
         def one(tension: Array, force: Array | None, deviation: Array | None):
             here = with_deviation(body, deviation)
-            if self.short_steps is not None:
-                return self._in_short_steps(here, tension, force, loads_with, nodes)
-            found = trace(here, tension[:, 0], nodes=nodes, max_turns=self.max_turns, throw=False)
-            return found.tip_tension[:, None], found.tip_angle, found.tip_position, found.status, markers_on(found)
+            if self.short_steps is None:
+                found = trace(here, tension[:, 0], nodes=nodes, max_turns=self.max_turns, throw=False)
+            else:
+                found = self._in_short_steps(here, tension, force, loads_with, nodes)
+            tips = found.tip_tension.reshape(tension.shape)
+            return tips, found.tip_angle, found.tip_position, found.status, markers_on(found)
 
         force = None if self.tip_force is None else jnp.asarray(self.tip_force)
-        every = jax.vmap(one)(tension, force, deviation)
+        trials = tension, force, deviation
+        # increments that need not be cut cost nothing one by one; in a batch they would
+        every = jax.vmap(one)(*trials) if self.short_steps is None else jax.lax.map(lambda each: one(*each), trials)
         step = self.step + (self.past is not None)
         tip_tension, angle, position, status, markers = jax.tree.map(lambda x: x[self.trial, step], every)
         return Shown(tip_tension, angle, position, status, jnp.zeros(tip_tension.shape, bool), markers)
 
     def _in_short_steps(
         self, body: Manipulator, tension: Array, force: Array | None, loads_with: LoadsWith, nodes: int
-    ):
+    ) -> History:
         """One path."""
         assert self.short_steps is not None
         num_before = 0 if self.past is None else 1
@@ -181,8 +184,7 @@ class Course(eqx.Module):
         resting = loads_with(force[0] if force is not None and self.force_stays else None)
         path = path._replace(resting=jax.tree.map(lambda x: jnp.asarray(x, float), resting))
         path = path.behind(tension[0]) if num_before else path
-        tips = tips_along(body, path, Following((), CELLS * nodes, self.short_steps))
-        return tips.tension, tips.heading, tips.position, status_of_tips(tips), None
+        return stepped_history(body, path, None, Following((), ELEMENTS * nodes, self.short_steps, estimated=False))
 
 
 def between(course: Course, points: int) -> tuple[Course, list[np.ndarray]]:

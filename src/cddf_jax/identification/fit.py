@@ -134,7 +134,6 @@ class Fit(LeastSquaresFit):
         tendons, setting = self.manipulator.num_tendons, self._setting(column)
         followed = {"history": history, "before": before, "short_steps": self._short_steps}
         wanted = predicted_rows(base_tension, tip_force, tendons, setting, **followed)
-        wanted.check_course(self.model.manipulator)
         shown = wanted.evaluate(self.model.manipulator, self.parameters, self.model.nodes)
         if column not in shown.readings:
             raise InputError(f"predict: {column!r} is not a reading; there are {', '.join(shown.readings)}")

@@ -62,6 +62,13 @@ def tangent_angle(section: CrossSection, curvature: Number) -> PerTendon:
     return jnp.arctan2(section.side * section.offset_slope, arm_ratio(section, curvature))
 
 
+def turning_in_bend(section: CrossSection, curvature: Number) -> PerTendon:
+    """Psi' where alpha does not change, 1/m; in the published kinematics kappa_c = kappa / q, which is all."""
+    if section.kinematics == "published":
+        return curvature / arm_ratio(section, curvature)
+    return curvature + jnp.zeros_like(section.offset)
+
+
 def curvature(
     section: CrossSection, tension: PerTendon, external_moment: float | Number = 0.0, start: Number | None = None
 ) -> Number:

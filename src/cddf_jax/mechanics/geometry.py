@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from ..numerics import tolerances as tol
 from ..numerics.arrays import cos_sin, largest_size
 from ..numerics.elements import gains_of_length, gains_of_magnitude, slope_in_element
 from ..numerics.rotations import (
@@ -20,8 +21,11 @@ from ..numerics.rotations import (
     cross,
     in_own_frame,
     length_of,
+    of_turn,
+    product,
     small_turn,
     solve_three,
+    square_root,
     tilt,
     turned_by,
 )
@@ -140,6 +144,23 @@ class Plane:
     def turn_between(self, one: Array, other: Array) -> PerTendon:
         """The angle between two directions of `pointing`, rad."""
         return jnp.abs(other - one)
+
+    def turned(self, width: Number, sections: AnySection, strains: Array) -> PerTendon:
+        """The angle by which tendons turn along a short element, rad, from values at both its ends (axis of two)."""
+        sections = planar(sections)
+        turn = width * jnp.mean(jax.vmap(bending.turning_in_bend)(sections, strains), axis=0)
+        if sections.kinematics == "exact":
+            angles = jax.vmap(bending.tangent_angle)(sections, strains)
+            turn = turn + angles[1] - angles[0]
+        return square_root(turn**2 + tol.LEAST_TURN**2)
+
+    def turned_on(self, heading: Array, turn: Array) -> Array:
+        """The heading beyond a short element, from that before it and the strain times its length."""
+        return heading + turn
+
+    def turn_from(self, one: Array, other: Array) -> Array:
+        """The small turn from one heading to another, rad, in the fixed frame."""
+        return other - one
 
     def slip_rate(self, section: AnySection, strain: Array, tension: PerTendon, compliance: PerTendon) -> PerTendon:
         """By how much a tendon's path shortens and the tendon stretches per arc length."""
@@ -274,6 +295,18 @@ class Space:
 
     def turn_between(self, one: Array, other: Array) -> PerTendon:
         return space.turn_between(one, other)
+
+    def turned(self, width: Number, sections: AnySection, strains: Array) -> PerTendon:
+        tangents = jax.vmap(space.tangents)(spatial(sections), strains)
+        mean, change = jnp.mean(tangents, axis=0), tangents[1] - tangents[0]
+        turn = space.turn_vectors(width * jnp.mean(strains, axis=0), mean, change)
+        return square_root(jnp.sum(turn**2, axis=-1) + tol.LEAST_TURN**2)
+
+    def turned_on(self, heading: Array, turn: Array) -> Array:
+        return product(heading, of_turn(space.curvature_of_strain(turn)))
+
+    def turn_from(self, one: Array, other: Array) -> Array:
+        return small_turn(other - one, (one + other) / 2)
 
     def slip_rate(self, section: AnySection, strain: Array, tension: PerTendon, compliance: PerTendon) -> PerTendon:
         return space.slip_rate_in_space(spatial(section), strain, tension, compliance)

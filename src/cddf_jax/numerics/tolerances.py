@@ -48,3 +48,20 @@ SAME_EFFECT = 1e-6  # of the largest slope: tensions that move the tip by less h
 ALIKE = 1e-6  # relative: two misses that count as the same
 LEAST_LEFT = 0.1  # of a tension after one step, where slopes vanish without tension: tip angle and curvature in space
 LEVEL = 1e-5  # change of the sum with a tension below which it counts as none
+
+# history
+LEAST_TURN = 1e-11  # rad: below it the turn of a tendon counts as this, so that the limit of friction is smooth
+ELASTIC = 3e-12  # m, by which a tendon moves in an element before it slides
+REMEMBERED = 1000.0  # elastic slips, with which a tendon that slid begins an increment: z is 1 less 5e-7
+SLIDING = 1e-13  # of 1 - z^2: what rounding leaves of it where a tendon slides
+INCREMENT = 1e-10  # relative change in a round that has settled
+PATIENCE = 20  # rounds, after which steps are damped, and rounding errors of slips may be as large as the next number
+INCREMENT_ROUNDING = 1e-8
+# elastic slip at first, m; factor on it after a round whose change was smaller than the next number; most rounds
+ATTEMPTS = (
+    (ELASTIC, 1.0, 0.0, 10.0),
+    (1e-3, 0.1, 1.0, 60.0),
+    (1e-3, 0.3, 1e-2, 120.0),
+    (1e-2, 0.3, 1e-3, 200.0),
+    (1e-2, 0.5, 1e-4, 320.0),
+)

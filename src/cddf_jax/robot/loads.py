@@ -80,8 +80,9 @@ def loads_in_space(loads: Loads) -> Loads:
         return x if x.shape[-1] == 3 else jnp.concatenate([x, jnp.zeros_like(x[..., :1])], axis=-1)
 
     moment = jnp.asarray(loads.tip_moment)
-    about_z = moment if moment.ndim else jnp.stack([jnp.zeros_like(moment), jnp.zeros_like(moment), moment])
-    return Loads(vector(loads.tip_force), about_z, vector(loads.gravity))
+    if moment.shape[-1:] != (3,):  # about Z, perhaps along a path
+        moment = jnp.stack([jnp.zeros_like(moment), jnp.zeros_like(moment), moment], axis=-1)
+    return Loads(vector(loads.tip_force), moment, vector(loads.gravity))
 
 
 def force_per_length(loads: Loads, mass_per_length: Float[Array, "*points"]) -> Float[Array, "*points components"]:

@@ -71,9 +71,6 @@ def _check_short_steps(work: "Sweep") -> None:
     entries = jax.tree.leaves(work.case.base_tension, is_leaf=lambda entry: isinstance(entry, Target))
     if any(isinstance(entry, Target | TipPosition) for entry in entries):
         raise InputError("sweep: with history base_tension must hold tensions, N, in place of targets")
-    if work.sensitivities:
-        why = "derivatives of a history of several tendons or under loads are right to about 1 % only"
-        raise InputError(f"sweep: {why}; leave sensitivities out")
 
 
 def check_sweep(work: "Sweep") -> None:

@@ -1,0 +1,213 @@
+"""A body on a grid of nodes: equilibrium at the nodes, friction between them.
+
+Tensions and strains belong to the nodes, slips to the elements between them. With the weights of the trapezoidal rule
+the jump of a tension across an element and the slip of the tendon there are work-conjugate. A joint is an element
+without length, across which a tendon may turn. One more element without length follows the tip.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..mechanics.friction import PerTendon
+from ..mechanics.geometry import Geometry
+from ..mechanics.problem import geometry_of, guarded_section, load_rate
+from ..numerics.elements import smooth_pieces
+from ..robot.cross_section import AnySection, where_present
+from ..robot.loads import Loads, force_at_points
+from ..robot.manipulator import Manipulator
+
+Number = Float[Array, ""]
+STIFFEST = 1e-7  # the least strain of a tendon per tension, over d^2 / (E J), its slip per tension by bending
+
+
+class Goal(NamedTuple):
+    """What is given of a driven tendon in place of its tension; static."""
+
+    tendon: int  # its index, from 0
+    quantity: str  # displacement, tip_angle, tip_tension or total_tension
+
+
+class Node(NamedTuple):
+    """The unknowns at a node. Those of all nodes have a leading axis K + 1; the last node is beyond the tip."""
+
+    tension: PerTendon  # T, N
+    heading: Array | None  # phi, rad, or a quaternion; None without loads, where nothing depends on it
+    slip: PerTendon  # w, m, of the element before: how far the tendon has moved through the body towards the base
+    moment: Array | None  # M_ext, N m; None without loads
+
+
+class Given(NamedTuple):
+    """What acts on the body at one instant."""
+
+    base_tension: PerTendon  # N; not used for a driven tendon
+    goal: PerTendon  # of a driven tendon: what is given in place of its tension, m, rad or N
+    force: Float[Array, "K components"] | None  # N of the loads beyond the middle of each element, N; None without
+    tip_moment: Array | None  # N m
+
+
+class Grid(eqx.Module):
+    """The K nodes of a body, and the elements behind them, the last of which has no length."""
+
+    manipulator: Manipulator
+    places: Float[Array, " K"]  # s, m
+    sections: AnySection  # leading axis K
+    weights: Float[Array, " K"]  # of the trapezoidal rule, m
+    widths: Float[Array, " K"]  # of the element after each node, m
+    stretch: PerTendon  # strain of each tendon per tension, 1/N
+    free_stretch: PerTendon  # elongation per tension of the tendon outside the body, m/N
+
+    @property
+    def geometry(self) -> Geometry:
+        return geometry_of(self.manipulator)
+
+    @property
+    def scale(self) -> Number:
+        """The length to which slips are compared: the largest offset, m."""
+        return jnp.max(jnp.abs(self.sections.offset))
+
+    @property
+    def softness(self) -> Number:
+        """The length per tension, m/N, by which tensions are compared with displacements."""
+        return self.places[-1] * self.scale**2 / self.geometry.bending_stiffness(self.sections)[0]
+
+    def pulled_in(self, nodes: Node) -> PerTendon:
+        """The displacement of each tendon at its actuator, m."""
+        return nodes.slip[0] + self.free_stretch * nodes.tension[0]
+
+    def reading(self, nodes: Node, goal: Goal) -> Number:
+        """What is given of a driven tendon; the tip angle needs the headings of a body under loads."""
+        if goal.quantity == "tip_angle":
+            return self.geometry.tip_angle(nodes.heading[-1])
+        if goal.quantity == "total_tension":
+            return jnp.sum(nodes.tension[0])
+        return (nodes.tension[-1] if goal.quantity == "tip_tension" else self.pulled_in(nodes))[goal.tendon]
+
+    def as_length(self, goal: Goal) -> Number | float:
+        """The length, m, that stands for one unit of a goal."""
+        return {"displacement": 1.0, "tip_angle": self.scale}.get(goal.quantity, self.softness)
+
+    def at(self, node: Node, section: AnySection, force: Array | None) -> tuple[Array, PerTendon]:
+        """The strain of a cross-section in equilibrium, and the slip per arc length of its tendons."""
+        geometry, tension = self.geometry, where_present(section, node.tension)
+        moment = jnp.asarray(geometry.no_moment, tension.dtype) if node.moment is None else node.moment
+        strain = geometry.strain(section, tension, node.heading, moment, force, None)
+        return strain, geometry.slip_rate(section, strain, tension, self.stretch)
+
+    def at_all(self, nodes: Node, force: Array | None) -> tuple[Array, Array]:
+        """As `at`, for all K nodes."""
+        return jax.vmap(self.at)(jax.tree.map(lambda x: x[:-1], nodes), self.sections, force)
+
+    def elements(self, force: Array | None) -> "Element":
+        pairs = jax.tree.map(lambda x: jnp.stack([x, jnp.concatenate([x[1:], x[-1:]])], axis=1), self.sections)
+        return Element(pairs, self.weights, self.widths, force)
+
+
+def cut_into_elements(manipulator: Manipulator, count: int, merged: Number | float = 0.0) -> Grid:
+    """`count` elements in each smooth piece of the body, and one between two pieces.
+
+    Args:
+        manipulator: the body.
+        count: number of elements; static.
+        merged: 1 to give every second element no length, so that the others are twice as long; else 0.
+    """
+    ends = smooth_pieces(jnp.asarray(manipulator.length), manipulator.breakpoints)
+    numbers = jnp.arange(count + 1)
+    fractions = (numbers - merged * (numbers % 2)) / count
+    starts, lengths = ends[:-1, None], jnp.diff(ends)[:, None]
+    places = starts + lengths * fractions
+    inside = starts + lengths * jnp.clip(fractions, 1e-9, 1 - 1e-9)  # a joint has a cross-section on either side
+    widths = jnp.diff(places, axis=1)
+    none = jnp.zeros_like(starts)
+    behind, ahead = jnp.concatenate([none, widths], axis=1), jnp.concatenate([widths, none], axis=1)
+    sections = jax.vmap(partial(guarded_section, manipulator))(inside.ravel())
+    compliance = manipulator.tendon_compliance
+    grid = Grid(
+        manipulator,
+        places.ravel(),
+        sections,
+        ((behind + ahead) / 2).ravel(),
+        ahead.ravel(),
+        compliance,
+        compliance * manipulator.tendon_free_length,
+    )
+    # where tendons that do not stretch rest together, their tensions are those of equal, very stiff tendons
+    stiffest = STIFFEST * grid.softness / grid.places[-1]
+    return eqx.tree_at(lambda grid: grid.stretch, grid, jnp.maximum(compliance, stiffest))
+
+
+def forces_on(grid: Grid, loads: Loads) -> Float[Array, "K components"]:
+    """The force N of the dead loads beyond the middle of each element, N."""
+    body, places = grid.manipulator, grid.places
+    rate, tip = load_rate(body, places, loads), jnp.asarray(loads.tip_force)
+    gains = grid.widths[:, None] * (rate + jnp.concatenate([rate[1:], rate[-1:]])) / 2
+    force = tip + jnp.cumsum(gains[::-1], axis=0)[::-1] - gains / 2
+    if not body.point_masses:
+        return force
+    weight = force_at_points(loads, jnp.stack([jnp.asarray(point.mass) for point in body.point_masses]))
+    points = jnp.stack([jnp.asarray(point.arc_length, places.dtype) for point in body.point_masses])
+    return force + jnp.where((places + grid.widths / 2)[:, None] < points, 1.0, 0.0) @ weight
+
+
+class Element(NamedTuple):
+    """The known numbers of an element."""
+
+    sections: AnySection  # at its ends; leading axis 2
+    weight: Number  # of the node before it, m
+    width: Number  # m
+    force: Array | None  # of the loads beyond its middle, N
+
+
+class Missing(NamedTuple):
+    """What is missing in the equations of an element, and the numbers that its friction depends on."""
+
+    slip: PerTendon  # m
+    heading: Array | None
+    moment: Array | None  # N m
+    drop: PerTendon  # D = T_k - T_k+1, N
+    limit: PerTendon  # C, the largest |D|, N
+
+
+class Along(NamedTuple):
+    """Values along an element."""
+
+    strain: Array  # its mean
+    slip_rate: PerTendon  # at its start
+    turn: PerTendon  # by which the tendons turn, rad
+    step: Array | None  # the change of the position along it, m; None without loads
+
+
+def along(grid: Grid, element: Element, start: Node, end: Node) -> Along:
+    both = jax.tree.map(lambda a, b: jnp.stack([a, b]), start, end)
+    strains, slips = jax.vmap(grid.at, (0, 0, None))(both, element.sections, element.force)
+    mean, turn = jnp.mean(strains, axis=0), grid.geometry.turned(element.width, element.sections, strains)
+    step = None
+    if start.heading is not None:
+        middle = grid.geometry.turned_on(start.heading, element.width / 2 * mean)
+        step = element.width * grid.geometry.axis(middle, mean)
+    return Along(mean, slips[0], turn, step)
+
+
+def missing(grid: Grid, element: Element, start: Node, end: Node) -> Missing:
+    """The residuals of an element: of the sum of the slips, of heading and moment.
+
+    The limit of friction is that at which T falls by the factor exp(mu turn), Liu et al. (2020) eq. (8), and by the
+    drag.
+    """
+    there, geometry = along(grid, element, start, end), grid.geometry
+    before, beyond = jax.tree.map(lambda x: x[0], element.sections), jax.tree.map(lambda x: x[1], element.sections)
+    limit = jnp.tanh(before.friction_coefficient * there.turn / 2) * (start.tension + end.tension)
+    if before.drag is not None:
+        limit = limit + element.width * before.drag
+    limit = where_present(before, where_present(beyond, limit))
+    heading = moment = None
+    if start.heading is not None:
+        heading = end.heading - geometry.turned_on(start.heading, element.width * there.strain)
+    if start.moment is not None:
+        moment = end.moment - start.moment - geometry.moment_rate(there.step, element.force)
+    slip = start.slip - end.slip - element.weight * there.slip_rate
+    return Missing(slip, heading, moment, start.tension - end.tension, limit)

@@ -1,0 +1,297 @@
+"""One increment of a path, solved for all nodes at once by Newton's method.
+
+Each tendon obeys Coulomb's law in every element: the jump of its tension is a share z of the limit of friction, between
+-1 and 1, which changes only while the tendon slips, and reaches the ends where it slides. The law is softened by a very
+small elastic slip e: z = x / sqrt(1 + x^2), where x grows by dw / e with the slip dw. Newton's method treats z as an
+unknown of its own (primal-dual), so that it hardly overshoots. Where it does not settle at once with the small e, as at
+a turn, it goes from a large e to the small one (continuation).
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from ..numerics import tolerances as tol
+from ..numerics.arrays import all_finite, largest_size, varying_as, zero_as
+from ..numerics.fixed_point import slope_along, solve_small
+from .grid import Element, Given, Goal, Grid, Node, missing
+
+Number = Float[Array, ""]
+PerElement = Float[Array, "K tendons"]
+
+
+class Body(NamedTuple):
+    """The body after an increment."""
+
+    nodes: Node  # leading axis K + 1; the last one is beyond the tip
+    share: PerElement  # z of each element
+    converged: Bool[Array, ""]
+
+
+class Setting(eqx.Module):
+    """What is solved: the body, what acts on it, and the body before."""
+
+    grid: Grid
+    given: Given
+    before: Body
+    driven: tuple[Goal, ...] = eqx.field(static=True)
+
+
+class _Law(NamedTuple):
+    """Coulomb's law, linear in the slip: z = level + slope (w - slip)."""
+
+    level: PerElement
+    slope: PerElement  # 1/m
+    slip: PerElement  # m
+
+
+class _Search(NamedTuple):
+    nodes: Node
+    strain: PerElement  # x
+    share: PerElement  # z, an unknown of its own
+    elastic: Number  # e, m
+    rounds: Number  # in this attempt
+    change: Number  # in the last round
+    attempt: Number
+    done: Bool[Array, ""]
+
+
+def after_increment(setting: Setting) -> Body:
+    """The body after a small change of the tensions or displacements at its base, and of the loads.
+
+    Derivatives are those of the equations.
+    """
+    return Body(*_after_increment(setting))
+
+
+@eqx.filter_custom_jvp
+def _after_increment(setting: Setting) -> tuple[Node, PerElement, Bool[Array, ""]]:
+    zero, before = zero_as(setting), setting.before
+    start, share = varying_as((_with_ends(setting, before.nodes), before.share), zero)
+    sliding_on = _strain_of(share)  # where tendons slide, they are expected to slide on
+    first = _Search(start, sliding_on, share, zero + tol.ELASTIC, zero, zero + jnp.inf, zero, zero > 0)
+
+    def unfinished(state: _Search) -> Bool[Array, ""]:
+        return ~state.done & (state.attempt < len(tol.ATTEMPTS))
+
+    end = jax.lax.while_loop(unfinished, partial(_round, setting, start), first)
+    nodes = jax.tree.map(partial(jnp.where, end.done), end.nodes, start)  # finite in either case
+    return nodes, _share(setting, nodes), end.done & before.converged
+
+
+def _round(setting: Setting, start: Node, state: _Search) -> _Search:
+    """One Newton step; then a smaller elastic slip, or another attempt."""
+    law = _law(setting, state)
+    change = _correction(setting, state.nodes, law, _rows_of_all(setting, state.nodes, law))
+    halved = (state.rounds > tol.PATIENCE) & (state.rounds % 3 == 0)  # where steps go round in a circle
+    part = jnp.where(halved, 0.5, 1.0)
+    nodes = jax.tree.map(lambda x, dx: x + part * dx, state.nodes, change)
+    share = jnp.clip(law.level + part * law.slope * change.slip[1:], -1.0, 1.0)
+    size, last = _size(setting.grid, nodes, change), state.elastic <= tol.ELASTIC
+    first, shrink, rough, most = (jnp.asarray(x)[state.attempt.astype(int)] for x in zip(*tol.ATTEMPTS, strict=True))
+    elastic = jnp.maximum(jnp.where(size < rough, shrink, 1.0) * state.elastic, tol.ELASTIC)
+    done = last & ~halved & (size < jnp.where(state.rounds > tol.PATIENCE, tol.INCREMENT_ROUNDING, tol.INCREMENT))
+    onward = _Search(
+        nodes, _strain(setting, nodes, elastic), share, elastic, state.rounds + 1, size, state.attempt, done
+    )
+    attempt = state.attempt + 1
+    first = jnp.asarray([elastic for elastic, *_ in tol.ATTEMPTS] + [1.0])[attempt.astype(int)]
+    again = _Search(
+        start,
+        _strain(setting, start, first),
+        setting.before.share,
+        first + 0.0 * elastic,
+        0.0 * state.rounds,
+        jnp.inf + 0.0 * size,
+        attempt,
+        done & False,
+    )
+    stuck = ~done & (~all_finite(size) | (state.rounds >= most))
+    return jax.tree.map(lambda a, b: jnp.where(stuck, a, b), again, onward)
+
+
+@_after_increment.def_jvp
+def _(primals, tangents):
+    (setting,), (direction,) = primals, tangents
+    nodes, share, _ = found = _after_increment(setting)
+    none = jnp.zeros_like(nodes.tension[0, 0])
+
+    def law_of(setting: Setting) -> _Law:
+        strain = _strain(setting, nodes, tol.ELASTIC)
+        law = _law(setting, _Search(nodes, strain, share, none + tol.ELASTIC, none, none, none, none > 0))
+        return law._replace(slope=jax.lax.stop_gradient(law.slope))  # it only scales what is zero
+
+    def rows(setting: Setting):
+        there = _with_ends(setting, nodes)
+        return _rows_of_all(setting, there, law_of(setting)), there
+
+    pushed, moved = slope_along(rows, setting, direction)
+    change = jax.tree.map(jnp.add, moved, _correction(setting, nodes, law_of(setting), pushed))
+    shares = slope_along(lambda both: _share(*both), (setting, nodes), (direction, change))
+    return found, (change, shares, None)
+
+
+def _strain_of(share: PerElement) -> PerElement:
+    """x, of z."""
+    return share / jnp.sqrt(jnp.maximum(1.0 - share**2, tol.SLIDING))
+
+
+def _strain(setting: Setting, nodes: Node, elastic: Number | float) -> PerElement:
+    """X. What a tendon has slid before, it need not slide back: its x starts from a bound."""
+    before = setting.before
+    start = jnp.clip(_strain_of(before.share), -tol.REMEMBERED, tol.REMEMBERED)
+    return start + (nodes.slip[1:] - before.nodes.slip[1:]) / elastic  # the slip of an element is that before its end
+
+
+def _law(setting: Setting, state: _Search) -> _Law:
+    size = jnp.sqrt(1.0 + state.strain**2)
+    level = state.strain / size
+    return _Law(level, (1.0 - state.share * level) / (size * state.elastic), state.nodes.slip[1:])
+
+
+def _share(setting: Setting, nodes: Node) -> PerElement:
+    """z; a tendon without tension forgets it."""
+    strain = _strain(setting, nodes, tol.ELASTIC)
+    return jnp.where(nodes.tension[:-1] > 0, strain / jnp.sqrt(1.0 + strain**2), 0.0)
+
+
+def _with_ends(setting: Setting, nodes: Node) -> Node:
+    """The nodes with the given tensions at the base and the given moment at the tip."""
+    given, driven = setting.given, tendons_of(setting.driven)
+    tension = given.base_tension.at[driven].set(nodes.tension[0, driven])
+    nodes = nodes._replace(tension=nodes.tension.at[0].set(tension))
+    if nodes.moment is None or given.tip_moment is None:
+        return nodes
+    return nodes._replace(moment=nodes.moment.at[-1].set(given.tip_moment))
+
+
+def _size(grid: Grid, nodes: Node, change: Node) -> Number:
+    """How large a change is."""
+    parts = [
+        largest_size(change.tension) / jnp.maximum(largest_size(nodes.tension), 1e-3),
+        largest_size(change.slip) / grid.scale,
+    ]
+    return jnp.max(jnp.stack(parts if change.heading is None else [*parts, largest_size(change.heading)]))
+
+
+# --- the equations, and Newton's method with the active set held ----------------------------------
+
+
+class Rows(NamedTuple):
+    """The residuals of all elements, and of the driven tendons."""
+
+    elements: Float[Array, "K rows"]
+    driven: Float[Array, " driven"]  # m
+
+
+def _rows_of_all(setting: Setting, nodes: Node, law: _Law) -> Rows:
+    elements = setting.grid.elements(setting.given.force)
+    rows = jax.vmap(partial(_rows, setting.grid))(elements, law, *_ends_of_elements(nodes))
+    return Rows(rows, _driven_gap(setting, nodes))
+
+
+def _ends_of_elements(nodes: Node) -> tuple[Node, Node]:
+    return jax.tree.map(lambda x: x[:-1], nodes), jax.tree.map(lambda x: x[1:], nodes)
+
+
+def _rows(grid: Grid, element: Element, law: _Law, start: Node, end: Node) -> Array:
+    """The residuals of an element."""
+    lacks = missing(grid, element, start, end)
+    limit = lacks.limit
+    if grid.sections.drag is not None:  # it takes no more than the tension
+        left = jnp.maximum(start.tension, 0.0)
+        limit = jnp.where((law.level > 0) & (limit > left), left, limit)
+    coulomb = lacks.drop - limit * (law.level + law.slope * (end.slip - law.slip))
+    parts = lacks.slip / grid.scale, coulomb / (1.0 + law.slope * grid.scale), lacks.heading, lacks.moment
+    return jnp.concatenate([jnp.ravel(part) for part in parts if part is not None])
+
+
+def _driven_gap(setting: Setting, nodes: Node) -> Float[Array, " driven"]:
+    """The readings less the given ones, m; of a displacement, if that is less, the tension of a slack tendon."""
+    grid, found = setting.grid, [jnp.zeros(0, nodes.tension.dtype)]
+    for goal in setting.driven:
+        missed = grid.as_length(goal) * (grid.reading(nodes, goal) - setting.given.goal[goal.tendon])
+        slack = grid.softness * nodes.tension[0, goal.tendon]
+        found.append((jnp.minimum(missed, slack) if goal.quantity == "displacement" else missed)[None])
+    return jnp.concatenate(found)
+
+
+def tendons_of(driven: tuple[Goal, ...]) -> Int[Array, " driven"]:
+    """Their indices."""
+    return jnp.asarray([goal.tendon for goal in driven], int)
+
+
+def _flat(node: Node) -> tuple[Array, Array]:
+    """What the march from the base knows, and what it seeks."""
+
+    def flat(*parts: Array | None) -> Array:
+        return jnp.concatenate([jnp.ravel(part) for part in parts if part is not None])
+
+    return flat(node.tension, node.heading), flat(node.slip, node.moment)
+
+
+def _node(like: Node, known: Array, sought: Array) -> Node:
+    """The inverse of `_flat`; `like` has the shapes of all nodes."""
+    count = like.tension.shape[-1]
+    heading = None if like.heading is None else known[count:].reshape(like.heading.shape[1:])
+    moment = None if like.moment is None else sought[count:].reshape(like.moment.shape[1:])
+    return Node(known[:count], heading, sought[:count], moment)
+
+
+def _correction(setting: Setting, nodes: Node, law: _Law, missed: Rows) -> Node:
+    """The change of all unknowns that makes the residuals zero to first order; linear in the residuals."""
+
+    def rows(element: Element, law: _Law, known: Array, sought: Array, known_end: Array, sought_end: Array) -> Array:
+        return _rows(setting.grid, element, law, _node(nodes, known, sought), _node(nodes, known_end, sought_end))
+
+    starts, ends = map(jax.vmap(_flat), _ends_of_elements(nodes))
+    elements = setting.grid.elements(setting.given.force)
+    slopes = jax.vmap(jax.jacfwd(rows, (2, 3, 4, 5)))(elements, law, *starts, *ends)
+    change, by_tension = _swept(nodes, slopes, missed.elements, setting.driven)
+    if not setting.driven:
+        return change
+    push = jax.linearize(partial(_driven_gap, setting), nodes)[1]
+    tension = solve_small(jax.vmap(push)(by_tension).T, -(missed.driven + push(change)))[0]
+    return jax.tree.map(lambda x, slope: x + jnp.tensordot(tension, slope, 1), change, by_tension)
+
+
+def _swept(nodes: Node, slopes: tuple, missed: Array, driven: tuple[Goal, ...]) -> tuple[Node, Node]:
+    """The change that makes the residuals zero, and the change by one newton at the base of each driven tendon.
+
+    Block elimination: from base to tip, what is known at the end of each element is found as a linear function of what
+    is sought there. From tip to base, all numbers follow.
+    """
+    count, sought = slopes[0].shape[2], slopes[1].shape[2]
+    zero = zero_as(slopes)
+    pulls = jnp.eye(count, dtype=missed.dtype)[:, tendons_of(driven)] + zero
+
+    def outwards(carry: tuple[Array, Array], inputs: tuple) -> tuple[tuple, tuple]:
+        by_sought, known = carry  # at the start of this element: known = by_sought @ sought + known
+        (by_known, by_start, by_known_end, by_end), lacks = inputs
+        here = jnp.concatenate([by_known_end, by_start + by_known @ by_sought], axis=1)
+        first = jnp.zeros((lacks.size, known.shape[1]), lacks.dtype).at[:, 0].set(lacks)
+        factors = jax.scipy.linalg.lu_factor(here)
+        of_end = jax.scipy.linalg.lu_solve(factors, -by_end)  # apart: it is constant, and values are linear in `missed`
+        values = jax.scipy.linalg.lu_solve(factors, -(first + by_known @ known))
+        return (of_end[:count], values[:count]), (of_end, values)
+
+    first = (
+        zero + jnp.zeros((count, sought)),
+        jnp.concatenate([0.0 * pulls[:, :1] if driven else zero + jnp.zeros((count, 1)), pulls], axis=1),
+    )
+    found = jax.lax.scan(outwards, first, (slopes, missed))[1]
+
+    def back(at_end: Array, found: tuple[Array, Array]) -> tuple[Array, Array]:
+        here = found[0] @ at_end + found[1]
+        return here[count:], here
+
+    last = zero + jnp.zeros((sought, 1 + len(driven)))
+    here = jax.lax.scan(back, last, found, reverse=True)[1]
+    all_known = jnp.concatenate([first[1][None], here[:, :count]])
+    all_sought = jnp.concatenate([here[:, count:], last[None]])
+    changes = jax.vmap(jax.vmap(partial(_node, nodes)), (2, 2))(all_known, all_sought)
+    return jax.tree.map(lambda x: x[0], changes), jax.tree.map(lambda x: x[1:], changes)

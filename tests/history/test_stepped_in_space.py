@@ -1,0 +1,181 @@
+"""`trace` of several tendons in space, under loads, by displacements.
+
+The tables are those of an independent code (NumPy; elements and increments refined until tips moved by less than 0.003
+mm). Their tensions are good to 1e-3 N, next to a neutral point to 0.02 N. Other origins stand beside the values.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from bodies import codes
+
+import cddf_jax as cddf
+
+LENGTH, PI = 0.14, np.pi
+# base tensions, N, or displacements, m; tip force, N; tip, mm; tip tensions, N (None where only very small slips of
+# resting tendons determine them)
+THREE = (
+    ((2.0, 2.0, 2.0), (0.0, 0.0, 0.0), (140.0, 0.0, 0.0), (2.0, 2.0, 2.0)),
+    ((40.0, 2.0, 2.0), (0.0, 0.0, 0.0), (132.9548, 34.9352, 0.0), (30.0982, 2.658, 2.658)),
+    ((40.0, 30.0, 2.0), (0.0, 0.0, 0.0), (132.1727, 28.2222, 22.0209), (40.0702, 21.9312, 2.7358)),
+    ((2.0, 30.0, 2.0), (0.0, 0.0, 0.0), (135.8946, -13.1789, 23.3048), (2.4898, 24.0984, 1.6066)),
+    ((2.0, 2.0, 2.0), (0.0, 0.0, 0.0), (140.0, 0.0, 0.0), (2.0, 2.0, 2.0)),
+)
+SIDE_LOAD = (
+    ((50.0, 10.0), (0.0, 0.0, 0.0), (132.9345, 35.2863, 0.0), (37.8596, 13.2067)),
+    ((50.0, 10.0), (0.0, 0.3, 0.3), (132.2469, 37.0669, 2.4294), None),
+    ((50.0, 10.0), (0.0, 0.0, 0.0), (132.5077, 36.2805, 0.0), (38.3745, 13.0206)),
+    ((50.0, 10.0), (0.0, -0.3, 0.3), (132.7968, 35.2303, 2.4737), (39.1522, 12.7649)),
+    ((50.0, 10.0), (0.0, 0.0, 0.0), (132.6783, 35.7346, 0.0), None),
+    ((20.0, 10.0), (0.0, 0.0, 0.0), (139.2436, 11.2588, 0.0), (22.1308, 9.0372)),
+)
+STRETCHING = (
+    ((50.0, 10.0), (0.0, 0.0, 0.0), (132.9345, 35.2863, 0.0), (37.8596, 13.2067)),
+    ((50.0, 10.0), (0.0, 0.3, 0.3), (132.2456, 37.0687, 2.4293), (37.8595, 13.2066)),
+    ((50.0, 10.0), (0.0, 0.0, 0.0), (132.5991, 36.0626, 0.0), (38.0569, 12.7773)),
+    ((50.0, 10.0), (0.0, -0.3, 0.3), (132.9575, 34.8518, 2.4739), (38.6402, 12.4226)),
+    ((50.0, 10.0), (0.0, 0.0, 0.0), (132.7208, 35.6617, 0.0), (38.6402, 12.4225)),
+    ((20.0, 10.0), (0.0, 0.0, 0.0), (139.2436, 11.2588, 0.0), (22.1308, 9.0372)),
+)
+DISPLACED = (
+    ((0.0008, 0.0008, 0.0008), (0.0, 0.0, 0.0), (140.0, 0.0, 0.0), (11.4286, 11.4286, 11.4286)),
+    ((0.004, -0.0008, -0.0008), (0.0, 0.0, 0.0), (138.9687, 13.5404, 0.0), (18.639, 7.6619, 7.6619)),
+    ((0.004, 0.002, -0.0036), (0.0, 0.0, 0.0), (137.9854, 13.2012, 13.3456), (18.1783, 13.335, 0.0)),
+    ((0.0008, 0.002, -0.0004), (0.0, 0.0, 0.0), (139.815, -0.2134, 5.6839), (11.6934, 14.1631, 8.0878)),
+    ((0.0008, 0.0008, 0.0008), (0.0, 0.0, 0.0), (140.0, 0.0, 0.0), (11.4286, 11.4286, 11.4286)),
+)
+
+
+def robot(angles, **of_tendons):
+    tendons = tuple(cddf.Tendon(0.010, angle=angle, **of_tendons) for angle in angles)
+    return cddf.Manipulator(
+        length=LENGTH,
+        outer_radius=cddf.Linear(0.020, 0.013, LENGTH),
+        inner_radius=0.007,
+        youngs_modulus=1.4e6,
+        friction_coefficient=0.42,
+        tendons=tendons,
+    )
+
+
+THIRDS = (0.0, 2 * PI / 3, 4 * PI / 3)
+STARS = robot(THIRDS)
+PAIR = robot((0.0, PI))
+
+
+def traced(body, table, *, displaced=False, **options):
+    given, force = (np.array([row[i] for row in table]) for i in (0, 1))
+    path = [cddf.Displacement(lengths) for lengths in given.T] if displaced else given
+    loads = cddf.Loads(tip_force=force) if np.any(force) else None
+    return cddf.trace(body, path, loads, throw=False, **options)
+
+
+@pytest.mark.parametrize(
+    ("body", "table", "atol"),
+    [
+        (STARS, THREE, 0.01),
+        pytest.param(PAIR, SIDE_LOAD, 0.03, marks=pytest.mark.slow),
+        pytest.param(robot((0.0, PI), axial_stiffness=2e3), STRETCHING, 0.01, marks=pytest.mark.slow),
+        pytest.param(robot(THIRDS, axial_stiffness=2e3), DISPLACED, 0.01, marks=pytest.mark.slow),
+    ],
+    ids=["three tendons", "side load", "side load and stretch", "displacements"],
+)
+def test_the_tables_are_met(body, table, atol):
+    found = traced(body, table, displaced=table is DISPLACED)
+    slack = [table is DISPLACED and row[3][2] == 0 for row in table]
+    np.testing.assert_array_equal(found.status, np.where(slack, cddf.Status.slack, cddf.Status.successful))
+    for step, (_, _, position, tension) in enumerate(table):
+        np.testing.assert_allclose(1e3 * found.tip_position[step], position, atol=0.02)
+        if tension is not None:
+            np.testing.assert_allclose(found.tip_tension[step], tension, atol=atol)
+            apart = np.max(np.abs(found.tip_tension[step] - np.array(tension))) / max(tension)
+            assert apart < found.error_estimate[step] + 1e-3  # the table's own error
+
+
+def test_one_tendon_is_as_the_exact_trace():
+    """A helix without loads, and with loads that are zero."""
+    body, path = robot((cddf.Linear(0.0, PI, LENGTH),)), [75.0, 60.0, 40.0, 20.0, 50.0]
+    exact, found = cddf.trace(body, path), cddf.trace(body, path, cddf.Loads(), nodes=8)
+    np.testing.assert_allclose(found.tip_tension, exact.tip_tension, atol=0.05)
+    np.testing.assert_allclose(found.tip_position, exact.tip_position, atol=5e-4 * LENGTH)
+    np.testing.assert_allclose(found.tip_frame, exact.tip_frame, atol=3e-3)
+
+
+def test_in_a_plane_space_says_the_same():
+    """A pair that bends in one plane, described with and without angles."""
+    path = np.array([[75.0, 20.0], [60.0, 20.0], [40.0, 20.0]])
+    plane = eqx.tree_at(
+        lambda b: b.tendons, PAIR, (cddf.Tendon(0.010), cddf.Tendon(0.010, side=-1)), is_leaf=lambda x: x is None
+    )
+    few = {"nodes": 8, "short_steps": 8, "throw": False}
+    flat, found = cddf.trace(plane, path, **few), cddf.trace(PAIR, path, **few)
+    np.testing.assert_allclose(found.tip_tension, flat.tip_tension, atol=1e-4)
+    np.testing.assert_allclose(found.tip_position[:, :2], flat.tip_position, atol=1e-6 * LENGTH)
+    np.testing.assert_allclose(found.tip_position[:, 2], 0.0, atol=1e-9)
+    np.testing.assert_allclose(found.work, flat.work, rtol=1e-5)
+
+
+@pytest.mark.slow
+def test_turning_the_robot_turns_the_answer():
+    path = np.array([[40.0, 2.0, 5.0], [40.0, 30.0, 5.0], [10.0, 30.0, 5.0]])
+    force, angle = np.array([0.0, 0.3, -0.2]), 0.7
+    turn = np.array([[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]])
+    few = {"nodes": 8, "short_steps": 8, "throw": False}
+    one = cddf.trace(STARS, path, cddf.Loads(tip_force=force), **few)
+    other = cddf.trace(robot(angle + np.array(THIRDS)), path, cddf.Loads(tip_force=turn @ force), **few)
+    np.testing.assert_allclose(other.tip_tension, one.tip_tension, atol=1e-6)
+    np.testing.assert_allclose(other.tip_position, one.tip_position @ turn.T, atol=1e-9)
+
+
+def test_work_is_stored_or_lost():
+    """Without loads the balance holds in each increment; with friction back at the straight body all is lost."""
+    found = cddf.trace(STARS, [row[0] for row in THREE], nodes=8, throw=False)
+    np.testing.assert_allclose(found.work - found.stored_energy - found.friction_loss, 0.0, atol=1e-9)
+    assert np.all(np.diff(found.friction_loss) > -1e-12)
+    np.testing.assert_allclose(found.stored_energy[-1], found.stored_energy[0], atol=1e-7)
+
+
+@pytest.mark.parametrize("mode", [jax.jacfwd, pytest.param(jax.jacrev, marks=pytest.mark.slow)])
+def test_derivatives(mode):
+    """Against differences so small that no tendon begins to slide or to rest in another element."""
+
+    def tip(numbers):
+        where = lambda b: (b.friction_coefficient, b.youngs_modulus)  # noqa: E731
+        body = eqx.tree_at(where, STARS, (numbers[0], numbers[1] * 1.4e6))
+        path = jnp.array([[40.0, 2.0, 5.0], [40.0, 30.0, 5.0]]).at[1, 1].set(30 * numbers[2])
+        loads = cddf.Loads(tip_force=jnp.array([0.0, 0.0, 0.2]) * numbers[3])
+        found = cddf.trace(body, path, loads, short_steps=4, nodes=4, throw=False)
+        return jnp.append(found.tip_position[-1] / LENGTH, found.tip_tension[-1] / 30.0)
+
+    at, step = np.array([0.42, 1.0, 1.0, 1.0]), 1e-6
+    compiled = jax.jit(tip)
+    differences = [(compiled(at + step * unit) - compiled(at - step * unit)) / (2 * step) for unit in np.eye(4)]
+    np.testing.assert_allclose(jax.jit(mode(tip))(at), np.stack(differences, axis=1), atol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_lane_that_fails_is_alone():
+    def followed(tension):
+        path = jnp.array([[40.0, 2.0, 5.0], [40.0, 30.0, 5.0]]).at[1, 1].set(tension)
+        return cddf.trace(STARS, path, short_steps=4, nodes=4, throw=False)
+
+    lanes, alone = jax.jit(jax.vmap(followed))(jnp.array([30.0, jnp.nan])), followed(30.0)
+    np.testing.assert_allclose(lanes.tip_position[0], alone.tip_position, atol=1e-9)
+    np.testing.assert_array_equal(codes(lanes.status[1]), [0, cddf.Status.unphysical])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("loaded", [False, True])
+def test_random_paths_settle_and_forget(loaded):
+    """Three tendons that are let go and pulled in proportion end where `solve` does, whatever came before."""
+    rng, pull = np.random.default_rng(11), np.outer([0.0, 60.0], [1.0, 0.4, 0.3])
+    loads = cddf.Loads(tip_force=(0.0, 0.1, 0.2)) if loaded else None
+    expected = cddf.solve(STARS, pull[1], loads)
+    for _ in range(3):
+        path = np.concatenate([rng.uniform(0.0, 60.0, (6, 3)), pull])
+        found = cddf.trace(STARS, path, loads, nodes=8, short_steps=8, throw=False)
+        assert np.all(np.isfinite(found.tip_angle))
+        np.testing.assert_allclose(found.tip_tension[-1], expected.tip_tension, atol=0.05)
+        np.testing.assert_allclose(found.tip_position[-1], expected.tip_position, atol=1e-3 * LENGTH)
