@@ -144,7 +144,7 @@ def coverage(scenario: Scenario, loops: int) -> dict[str, Any]:
 def linear_coverage(scenario: Scenario, loops: int) -> dict[str, Any]:
     """The same, for readings that are linear in the parameters about the true values."""
     names = tuple(TRUTH | ({"before": scenario.before[0]} if scenario.before else {}))
-    few = {"nodes": 8, "short_steps": 4}  # as many cells and short steps as in a fit
+    few = {"nodes": 8, "short_steps": 4}  # half the elements and as many increments as in a fit
     at, step = np.ones(3), 1e-3
     clean = simulated(scenario, **few)
     ends = [

@@ -558,7 +558,7 @@ def test_the_axis_that_is_the_path(run, pair_file, monkeypatch, tmp_path):
 
 @pytest.mark.slow
 def test_loops_of_a_pair_are_those_of_its_traces(run, pair_file):
-    """With the short steps that were asked for."""
+    """With the increments that were asked for."""
     options = ("--history-axis", "base_tension_1", "--short-steps", "4", "--nodes", "8", "--output", "tip_angle")
     code, _, error = run(pair_file, *PAIR_LOOP, *options, "--out", "loops", "--csv", "loops.csv")
     assert (code, error) == (0, "")

@@ -224,7 +224,7 @@ def test_more_short_steps_lower_the_error(answer_of, fails, two_tendons):
     few, more = (answer_of("trace", two_tendons, *path, "--short-steps", count) for count in (2, 8))
     assert 0 < more["error_estimate"][1] < few["error_estimate"][1]
     far = ("--path", "85, 10 N", "--path", "5, 60 N", "--short-steps", 2, "--nodes", 4)  # rough on purpose
-    assert fails("trace", two_tendons, *far, code=1).endswith("exceeds 0.03: raise --short-steps and --nodes.")
+    assert fails("trace", two_tendons, *far, code=1).endswith("exceeds 0.01: raise --short-steps and --nodes.")
 
 
 @pytest.mark.slow

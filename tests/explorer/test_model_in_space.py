@@ -165,15 +165,14 @@ def test_the_curve_of_a_helix_is_that_of_the_table():
     np.testing.assert_allclose(curve.tip_tension[at], [54.52936051], atol=6e-9)
 
 
-def test_an_order_that_is_not_followed_is_said(three):
+def test_an_order_that_is_not_drawn_is_said(three):
     tension = {f"base_tension{end}": [10.0, 20.0, 10.0] for end in ("", "_2", "_3")}
     table = Measurements.from_columns("loop", **tension, tip_angle=[0.1, 0.2, 0.15], step=[1, 2, 3])
     explored = replace(three, tables=(table,))
-    assert explored.in_rows(explored.manipulator) == []
+    ((drawn, _),) = explored.in_rows(explored.manipulator)
+    assert drawn is table
     (note,) = explored.notes
-    assert note.startswith("loop: the order of its rows is not followed in space")
-    with pytest.raises(cddf.InputError, match="a history with a body in space is possible for one tendon"):
-        explored.fit("exact")
+    assert note == "loop: each row is drawn as an equilibrium of its own; a fit follows the order of the rows"
 
 
 def test_rows_hold_the_straight_body_and_its_tendons(three):

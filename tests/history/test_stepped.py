@@ -55,7 +55,7 @@ THREE = replace(PAIR, tendons=(cddf.Tendon(0.010), cddf.Tendon(0.008, side=-1), 
 @pytest.mark.slow
 @pytest.mark.parametrize("short_steps", [16, 32])
 def test_a_pull_after_a_release(short_steps):
-    """Tendons that rest by their friction alone, between parts that slide, settle with any number of short steps."""
+    """Tendons that rest by their friction alone, between parts that slide, settle with any number of increments."""
     path = np.insert(PATH, 3, [50.0, 20.0], axis=0)
     history = cddf.trace(PAIR, path, short_steps=short_steps)
     np.testing.assert_allclose(np.degrees(history.tip_angle)[np.array([0, 1, 2, 4])], ANGLES, atol=0.016)
@@ -157,7 +157,7 @@ def test_one_tendon_is_as_the_exact_play(loop, exact):
     np.testing.assert_allclose(loop.tip_tension, exact.tip_tension, atol=0.03)
     np.testing.assert_allclose(loop.front, exact.front, atol=2e-5)
     np.testing.assert_array_equal(loop.sliding(jnp.array([0.02, 0.138]))[1], [-1, 0])
-    # closed forms of section 2, J; the error of the loss falls with the square of the short steps
+    # closed forms of section 2, J; the error of the loss falls with the square of the increments
     np.testing.assert_allclose(loop.work[0], 415.405749e-3, rtol=GRID)
     np.testing.assert_allclose(loop.stored_energy[0], 355.679440e-3, rtol=GRID)
     np.testing.assert_allclose(loop.friction_loss[4], 99.331129e-3, rtol=2e-4)

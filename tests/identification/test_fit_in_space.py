@@ -205,17 +205,39 @@ def test_a_marker_on_a_loop_in_space():
     np.testing.assert_allclose(rows.shown(body, {}, 16).markers[:, 0], heads, atol=1e-8)
 
 
-def test_a_history_in_short_steps_has_no_markers_and_no_space():
-    columns = {"base_tension": [10.0, 5.0], "step": [1, 2]}
-    loaded = cddf.BenchSetting(loads=cddf.Loads(tip_force=(0.0, -1.0, 0.0)))
-    for setting, force in ((loaded, {}), (cddf.BenchSetting(), {"tip_force_z": [1.0, 1.0]})):
-        table = cddf.Measurements.from_columns("bench", tip_z=[0.01, 0.0], **columns, **force)
-        with pytest.raises(InputError, match="with a body in space is possible for one tendon without loads only"):
-            cddf.fit(winding(), table, setting=setting)
-    table = cddf.Measurements.from_columns("bench", **columns, **{"x@120mm": [0.1, 0.11]})
-    loaded = cddf.BenchSetting(loads=cddf.Loads(tip_force=(0.0, -1.0)))
-    with pytest.raises(InputError, match="a history with markers is possible for one tendon without loads only"):
-        cddf.fit(in_plane(), table, setting=loaded)
+@pytest.mark.slow
+@pytest.mark.parametrize("force", [(0.0, -1.0), (0.0, -0.5, 0.3)], ids=["plane", "space"])
+def test_markers_of_a_history_under_loads(force):
+    """Those of `trace` with the same elements; in space under a force that bends the body out of its plane."""
+    loads, pulls = cddf.Loads(tip_force=force), [10.0, 30.0, 5.0]
+    table = cddf.Measurements.from_columns("simulated", base_tension=pulls, step=[1, 2, 3], **{"x@head": [0.1] * 3})
+    setting = cddf.BenchSetting(loads=loads, markers={"head": HEAD if len(force) == 3 else cddf.Marker(0.08)})
+    body = winding() if len(force) == 3 else in_plane()
+    rows = experiment_of(table, body, course=course_of(table, loaded=True)[0], setting=setting)
+    found = rows.shown(body, {}, 8)
+    expected = cddf.trace(body, pulls, loads, nodes=4, short_steps=4, throw=False)
+    np.testing.assert_allclose(found.tip_position, expected.tip_position, atol=1e-9)
+    fields = expected.at(0.08)
+    heads = np.asarray(fields.position)
+    if len(force) == 3:
+        heads = heads + np.einsum("sij,j->si", np.asarray(fields.frame), np.array(HEAD.offset))
+    np.testing.assert_allclose(found.markers[:, 0, : len(force)], heads, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_poses_of_three_tendons_bring_friction_and_modulus_back():
+    """Simulated by `trace` with the elements and increments of the fit, pulled one after another in space."""
+    tendons = tuple(cddf.Tendon(0.010, angle=angle) for angle in (0.0, 2 * np.pi / 3, 4 * np.pi / 3))
+    body = dataclasses.replace(paper_body("exact"), tendons=tendons)
+    true = dataclasses.replace(paper_body("exact", friction_coefficient=MU, youngs_modulus=E), tendons=tendons)
+    pulls = np.array([[30, 2, 2], [30, 30, 2], [4, 30, 2], [4, 10, 25], [20, 3, 25], [20, 3, 5]], float)
+    tips = np.asarray(cddf.trace(true, pulls, nodes=4, short_steps=4, throw=False).tip_position)
+    columns = {f"base_tension{end}": pulls[:, i] for i, end in enumerate(("", "_2", "_3"))}
+    columns |= {f"tip_{axis}": tips[:, i] for i, axis in enumerate("xyz")}
+    table = cddf.Measurements.from_columns("simulated", step=np.arange(6), **columns)
+    fit = cddf.fit(body, table, noise=dict.fromkeys(("tip_x", "tip_y", "tip_z"), 1e-4), nodes=8)
+    assert [fit.status[name] for name in ("friction_coefficient", "youngs_modulus")] == ["identified"] * 2
+    np.testing.assert_allclose([fit.value["friction_coefficient"], fit.value["youngs_modulus"]], [MU, E], rtol=1e-5)
 
 
 def seen(position):

@@ -435,7 +435,7 @@ def test_what_came_before_several_tendons():
 
 @pytest.mark.slow
 def test_what_two_tendons_had_before_is_found():
-    """Simulated with 62 N against 20 N before the first row; seed stated before; fitted with fewer short steps."""
+    """Simulated with 62 N against 20 N before the first row; seed stated before; fitted with fewer increments."""
     rng, before = np.random.default_rng(20261124), 62.0
     path = np.stack([[45.0, 30, 50, 75, 45, 15], np.full(6, 20.0)], axis=1)
     simulated = cddf.trace(PAIR, path, before=[before, 20.0], short_steps=16)
@@ -456,7 +456,7 @@ def test_what_two_tendons_had_before_is_found():
 
 @pytest.mark.slow
 def test_a_loop_of_two_tendons_brings_the_truth_back():
-    """Seed stated before; simulated with 16 short steps and twice the cells, fitted with 4 from another start."""
+    """Seed stated before; simulated with 16 increments and twice the elements, fitted with 4 from another start."""
     rng, noise = np.random.default_rng(20261123), {"tip_tension": 0.1, "tip_tension_2": 0.1, "tip_angle": ANGLE}
     history = cddf.trace(PAIR, np.stack([PULLS, np.full(20, 20.0)], axis=1), short_steps=16)
     read = {"tip_tension": history.tip_tension[:, 0], "tip_tension_2": history.tip_tension[:, 1]}
@@ -470,9 +470,9 @@ def test_a_loop_of_two_tendons_brings_the_truth_back():
         assert low < truth < high
         assert found.standard_error[name] < 0.01 * truth
         assert found.moved_by_steps[name] < 0.5
-    assert not any("short steps" in warning for warning in found.warnings)
+    assert not any("increments" in warning for warning in found.warnings)
     report = make_report(found, with_profiles=False)
-    assert "The short steps of the history move the estimates by at most 0." in fit_as_markdown(report)
+    assert "The increments of the history move the estimates by at most 0." in fit_as_markdown(report)
     assert found.pull_alone.standard_error["youngs_modulus"] > found.standard_error["youngs_modulus"]
     path = np.stack([PULLS, np.full(20, 20.0)], axis=1)
     along = found.predict("tip_angle", path, history=True)

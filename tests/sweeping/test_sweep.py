@@ -220,6 +220,15 @@ def test_loops_of_several_tendons_and_under_loads_are_traces():
             expected = history.equilibria.curvature if name == "curvature" else getattr(history, name)
             np.testing.assert_allclose(answer[name][:, i], expected, rtol=1e-7, atol=1e-9, err_msg=name)
     across = {"base_tension_1": PULL, "base_tension_2": [10.0, 20.0]}
+    slopes = cddf.sweep(PAIR, across, history="base_tension_1", sensitivities=("friction_coefficient",), **few)
+
+    def angles(mu):
+        body = eqx.tree_at(lambda b: b.friction_coefficient, PAIR, np.asarray(mu))
+        return np.asarray(cddf.trace(body, [[pull, 20.0] for pull in PULL], **few).tip_angle)
+
+    mu, step = float(PAIR.friction_coefficient), 1e-5
+    differences = (angles(mu + step) - angles(mu - step)) / (2 * step)
+    np.testing.assert_allclose(slopes.tip_angle_by_friction_coefficient[:, 1], differences, atol=1e-6)
     constant = cddf.sweep(PAIR, across, history="base_tension_1", **few)
     history = cddf.trace(PAIR, [[pull, 20.0] for pull in PULL], **few)
     np.testing.assert_allclose(constant.tip_angle[:, 1], history.tip_angle, rtol=1e-7)

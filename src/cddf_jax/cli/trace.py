@@ -61,7 +61,7 @@ def trace(
     """Pull and release: what slides in each step of a path, the state after the step, and the energy lost to friction.
 
     With friction the way back differs from the way up. The answer is exact for one tendon without loads. Several
-    tendons and loads are followed in short steps; the loads act before the first step.
+    tendons and loads are followed in increments; the loads act before the first step.
     """
     read = options.read_robot(robot, kinematics)
     manipulator = read.manipulator

@@ -198,8 +198,9 @@ class Exploration:
         good solve.
         """
         found = []
-        for table in (table for table in self.tables if table not in self.not_followed):
-            course = course_of(table)[0] if has_history(table, None) and self._is_exact(table) else None
+        for table in self.tables:
+            followed = has_history(table, None) and table not in self.not_followed
+            course = course_of(table)[0] if followed else None
             rows = experiment_of(table, body, course=course, setting=self.setting)
             if isinstance(rows, Bench) and not rows.on_one_curve:
                 found.append((table, jax.tree.map(np.asarray, _in_rows(rows, body))))
@@ -207,9 +208,8 @@ class Exploration:
 
     @property
     def not_followed(self) -> list[Measurements]:
-        """Tables with a history that is not followed: of a body in space with several tendons or loads."""
-        known = [table for table in self.tables if not has_history(table, None) or self._is_exact(table)]
-        return [table for table in self.tables if self.manipulator.in_space and table not in known]
+        """Tables with a history whose rows are drawn without it: of several tendons or loads."""
+        return [table for table in self.tables if has_history(table, None) and not self._is_exact(table)]
 
     def _is_exact(self, table: Measurements) -> bool:
         """Whether a history of these rows has an exact answer: one tendon without loads."""
@@ -220,7 +220,7 @@ class Exploration:
     def notes(self) -> list[str]:
         """Notes on the tables."""
         read_as = [line for table in self.tables for line in table.read_as]
-        why = "the order of its rows is not followed in space: its readings stand without the model, and are not fitted"
+        why = "each row is drawn as an equilibrium of its own; a fit follows the order of the rows"
         return read_as + [f"{table.name}: {why}" for table in self.not_followed]
 
     def tapers(self, settings: Settings, angle: float) -> tuple[Taper, Taper]:

@@ -274,9 +274,8 @@ def _swept(nodes: Node, slopes: tuple, missed: Array, driven: tuple[Goal, ...]) 
         (by_known, by_start, by_known_end, by_end), lacks = inputs
         here = jnp.concatenate([by_known_end, by_start + by_known @ by_sought], axis=1)
         first = jnp.zeros((lacks.size, known.shape[1]), lacks.dtype).at[:, 0].set(lacks)
-        factors = jax.scipy.linalg.lu_factor(here)
-        of_end = jax.scipy.linalg.lu_solve(factors, -by_end)  # apart: it is constant, and values are linear in `missed`
-        values = jax.scipy.linalg.lu_solve(factors, -(first + by_known @ known))
+        inverse = jnp.linalg.inv(here)  # constant where derivatives are taken: the values are linear in `missed`
+        of_end, values = -inverse @ by_end, -inverse @ (first + by_known @ known)
         return (of_end[:count], values[:count]), (of_end, values)
 
     first = (

@@ -136,8 +136,8 @@ def _followed(
         start: the instant before the first step; None for rest.
         rough: how the pass differs from the fine one.
     """
-    grid = cut_into_elements(manipulator, kind.num_elements, rough.elements)
-    zero = zero_as(manipulator, path)  # under shard_map all of them vary over the devices, or none
+    zero = zero_as(manipulator, path, rough)  # under shard_map all numbers vary over the devices, or none
+    grid = varying_as(cut_into_elements(manipulator, kind.num_elements, rough.elements), zero)
     path = path.behind(jnp.zeros_like(path.tension[0])) if start is None else path
     given = varying_as(_given(grid, path), zero)
     if start is None:
@@ -151,7 +151,7 @@ def _followed(
     start = varying_as(start._replace(given=start.given._replace(goal=goal)), zero)
     driven = tendons_of(kind.driven)
 
-    least = (1.0 + rough.increments) / kind.num_increments  # two as one
+    least = (1.0 + rough.increments) / kind.num_increments + 0.0 * start.work  # two as one
 
     def advance(instant: Instant, to: Given) -> tuple[Instant, Instant]:
         before = instant.given

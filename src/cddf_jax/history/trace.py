@@ -108,7 +108,7 @@ def trace(
         _check_largest(past, quantity, values)
         program = partial(congruent_history, manipulator, values, past, nodes, max_turns, quantity)
     else:
-        program = partial(_in_short_steps, manipulator, base_tension, loads, before, start, nodes, short_steps)
+        program = partial(_in_increments, manipulator, base_tension, loads, before, start, nodes, short_steps)
     try:
         history = program()
     except (TypeError, ValueError):
@@ -168,7 +168,7 @@ def _check_same_body(manipulator: Manipulator, start: History) -> None:
         raise ValueError("trace: start is the history of another body; trace this body from rest")
 
 
-def _in_short_steps(
+def _in_increments(
     manipulator: Manipulator,
     base_tension: Driven,
     loads: Loads | Sequence[Loads] | None,

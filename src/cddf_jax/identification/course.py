@@ -15,7 +15,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 from ..errors import InputError
 from ..history.history import History
 from ..history.path import given_path
-from ..history.stepped import ELEMENTS, Following, stepped_history
+from ..history.stepped import Following, stepped_history
 from ..history.trace import trace
 from ..measurements.holds import NO_STEP
 from ..measurements.jitter import Steady, without_jitter
@@ -26,7 +26,8 @@ from .parameters import with_deviation
 from .tension_before import REST, Past, Start, past_of
 
 STEPS = 16  # paths are traced in multiples of this number, so that tables share compiled programs
-FEW_STEPS = 4  # the same for paths that are followed in short steps
+FEW_STEPS = 4  # the same for paths that are followed in increments
+ELEMENTS = 2  # times the nodes, half as many as `trace` takes: their error is told beside the estimates
 SHORT_STEPS = 4  # in each step of a path without an exact answer
 MOST_REMEMBERED = 60  # turns whose effect on later rows counts in the errors of base tensions
 WITHOUT = "give history=False (--no-history), which lets each tendon slide one way in each row"
@@ -50,7 +51,7 @@ class Shown(NamedTuple):
 class Course(eqx.Module):
     """Paths of base tensions, and which step of which path each row of a table is.
 
-    One tendon without loads has an exact answer. Others are followed in short steps.
+    One tendon without loads has an exact answer. Others are followed in increments.
     """
 
     readings: Float[np.ndarray | Array, "trials steps tendons"]  # N, as read, without jitter; the last one is repeated
@@ -162,7 +163,7 @@ class Course(eqx.Module):
             if self.short_steps is None:
                 found = trace(here, tension[:, 0], nodes=nodes, max_turns=self.max_turns, throw=False)
             else:
-                found = self._in_short_steps(here, tension, force, loads_with, nodes)
+                found = self._in_increments(here, tension, force, loads_with, nodes)
             tips = found.tip_tension.reshape(tension.shape)
             return tips, found.tip_angle, found.tip_position, found.status, markers_on(found)
 
@@ -174,7 +175,7 @@ class Course(eqx.Module):
         tip_tension, angle, position, status, markers = jax.tree.map(lambda x: x[self.trial, step], every)
         return Shown(tip_tension, angle, position, status, jnp.zeros(tip_tension.shape, bool), markers)
 
-    def _in_short_steps(
+    def _in_increments(
         self, body: Manipulator, tension: Array, force: Array | None, loads_with: LoadsWith, nodes: int
     ) -> History:
         """One path."""
@@ -267,7 +268,7 @@ def course_of(
         noise: by column, the standard deviation of a reading of the base tension, N, as in `without_jitter`; that of
             `base_tension` holds for all columns without one.
         starts: how each trial begins; None: from rest.
-        short_steps: into how many short steps each step is divided where the answer is not exact.
+        short_steps: into how many increments each step is divided where the answer is not exact.
         loaded: whether there are loads besides the tip forces, which are the same in all rows.
 
     Raises:

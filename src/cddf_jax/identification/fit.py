@@ -200,7 +200,7 @@ class Fit(LeastSquaresFit):
 
     @cached_property
     def moved_by_steps(self) -> dict[str, float]:
-        """By parameter, its error by the short steps of a history, over its standard error; {} without short steps."""
+        """By parameter, its error by the increments of a history, over its standard error; {} without increments."""
         return moved_by_finer_steps(self) if self.success else {}
 
     @property
@@ -266,7 +266,7 @@ def fit(
             the search. With several tendons an entry holds the tensions of all, [(60, 20)]; they rose linearly from
             rest, and then went to those of the first row. A tendon for which nothing is given had the tension of the
             first row.
-        short_steps: into how many short steps each step of a history is divided with several tendons or loads, 2 or
+        short_steps: into how many increments each step of a history is divided with several tendons or loads, 2 or
             more; the report states the error that they leave.
         leave_out: rows whose readings do not count, by their numbers in the file: [8, 14] or "8, 14, 20-23", and of
             several files by name, {"run_2.csv": [8, 14]}. With a history such a row stays as a step of the path.

@@ -107,11 +107,11 @@ def beyond_the_data(wanted: Bench, model: BenchModel) -> np.ndarray:
 
 
 def moved_by_finer_steps(fit: "Fit") -> dict[str, float]:
-    """By parameter, the error of its estimate by short steps and cells, over its standard error.
+    """By parameter, the error of its estimate by increments and elements, over its standard error.
 
-    The prediction is repeated with steps and cells half as long. The error is proportional to their length, so it is
-    twice the difference; the linearised fit gives the change of the estimates. Empty where every answer is exact; NaN
-    where the finer one has no solution.
+    The prediction is repeated with increments and elements half as long. An error proportional to their length is twice
+    the difference, one that falls with the square is less. The linearised fit gives the change of the estimates. Empty
+    where every answer is exact; NaN where the finer one has no solution.
     """
     body, nodes, spectrum = fit.model.manipulator, fit.model.nodes, fit.evidence.spectrum
     parameters, moved = jax.tree.map(np.asarray, fit.parameters), np.zeros(len(fit.names))

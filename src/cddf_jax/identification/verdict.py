@@ -33,7 +33,7 @@ INCOMPRESSIBLE = 0.5  # Poisson's ratio of a material that does not change its v
 LARGEST_FRICTION = 2.0  # a larger coefficient gives a warning
 CHANCE = 1e-3  # p-value below which residuals drift, or differ from trial to trial
 SHOWN = 4  # levels that a warning names
-LARGEST_MOVE = 0.5  # standard errors; a larger error by short steps gives a warning
+LARGEST_MOVE = 0.5  # standard errors; a larger error by increments gives a warning
 AGAINST = "tendons travel against the direction that was found for them"
 MOST = 0.5  # of a table's rows; with more rows without a solution the fit fails
 OUTSIDE = {  # statuses of rows without a solution, by their names in messages
@@ -122,7 +122,7 @@ def fit_warnings(fit: "Fit") -> list[str]:
         for name in many_levels(fit.model, fit.tables, dict(fit.options["noise"]))  # pyright: ignore
     ]
     found += [
-        f"the short steps of the history move {name} by {part:.2g} of its standard error; give more short_steps"
+        f"the increments of the history move {name} by {part:.2g} of its standard error; give more short_steps"
         for name, part in fit.moved_by_steps.items()
         if not part <= LARGEST_MOVE
     ]

@@ -362,9 +362,9 @@ def _goodness(fit: Fit) -> list[str]:
 
 
 def short_steps_in_words(fit: Fit) -> str:
-    """The error that the short steps of a history leave."""
+    """The error that the increments of a history leave."""
     most = max(fit.moved_by_steps.values())
-    return f"The short steps of the history move the estimates by at most {most:.2g} of their standard errors."
+    return f"The increments of the history move the estimates by at most {most:.2g} of their standard errors."
 
 
 def _correlation_section(fit: Fit) -> list[str]:

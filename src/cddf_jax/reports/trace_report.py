@@ -59,7 +59,7 @@ def traced(
 ) -> TracedPath:
     """Trace the paths of all tendons, with enough points between their steps for smooth loops.
 
-    Several tendons and loads are followed in short steps. A `SolveError` names the step that failed.
+    Several tendons and loads are followed in increments. A `SolveError` names the step that failed.
 
     Args:
         paths: one for each tendon, all of one length: base tensions, N, displacements of the tendon, m, or of one
@@ -137,7 +137,7 @@ def trace_as_dict(found: TracedPath) -> dict[str, object]:
 def trace_in_words(found: TracedPath) -> str:
     """What slid in each step, the state after it, and where the work went."""
     states, lines = found.states, steps_in_words(found.history, found.steps)
-    rest = "by the published kinematics" if found.manipulator.kinematics == "published" else "by the short steps"
+    rest = "by the published kinematics" if found.manipulator.kinematics == "published" else "by the increments"
     work, stored, lost = (float(states[name][-1]) for name in ("work", "stored_energy", "friction_loss"))
     parts = [f"{shown(stored, 'energy')} stored", f"{shown(lost, 'energy')} lost to friction"]
     if abs(left := work - stored - lost) > SEEN * abs(work):

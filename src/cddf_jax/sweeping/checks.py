@@ -62,12 +62,12 @@ def _check_history(work: "Sweep") -> None:
     if others or not isinstance(work.method, FixedPoint):
         what = others[0] if others else "method"
         raise InputError(f"sweep: with history there is no {what}; leave it out")
-    if work.in_short_steps:
+    if work.in_increments:
         _check_short_steps(work)
 
 
 def _check_short_steps(work: "Sweep") -> None:
-    """Refuse what cannot be followed in short steps."""
+    """Refuse what cannot be followed in increments."""
     entries = jax.tree.leaves(work.case.base_tension, is_leaf=lambda entry: isinstance(entry, Target))
     if any(isinstance(entry, Target | TipPosition) for entry in entries):
         raise InputError("sweep: with history base_tension must hold tensions, N, in place of targets")

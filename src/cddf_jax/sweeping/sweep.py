@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     import xarray
 
 CHUNK = 131072  # solves
-CHUNK_IN_SHORT_STEPS = 512  # solves, each of which takes some 10,000 times as long
+CHUNK_IN_INCREMENTS = 512  # solves, each of which takes some 10,000 times as long
 SHARE = 0.25  # of the free memory
 DEFAULT_OUTPUTS = ("tip_tension", "tip_position", "tip_angle")
 Values = Sequence[object] | np.ndarray | jax.Array  # along one axis
@@ -75,7 +75,7 @@ def sweep(
             released in their order, by `trace`, for each combination of the other axes. Several tendons, and loads that
             change with them, vary together along it: {"path": {"base_tension_1": values, "base_tension_2": values}}.
             If base tensions vary along other axes too, give the name of the axis that is the path. `loads` act before
-            the first step. Several tendons and loads are followed in short steps: ask for `error_estimate`, and look at
+            the first step. Several tendons and loads are followed in increments: ask for `error_estimate`, and look at
             `result`, which is `inaccurate` if the error is large.
         short_steps: as `trace` takes it, with several tendons or loads.
         outputs: attributes of `Equilibrium`, or of `History` and its fields, each an array of the dataset.
@@ -176,7 +176,7 @@ class Sweep:
     def known_outputs(self) -> Mapping[str, tuple[str, ...]]:
         """All possible outputs, and their dimensions besides those of the sweep."""
         of_history, of_one_tendon = one_solve.OF_HISTORY, "num_turns"
-        if self.in_short_steps:
+        if self.in_increments:
             return {name: dims for name, dims in of_history[2].items() if name != of_one_tendon}
         return (of_history if self.history else one_solve.OUTPUTS_OF)[self.case.components]
 
@@ -209,7 +209,7 @@ class Sweep:
         each = COPIES * layout.bytes_each * self.steps
         if each > self.allowed:
             raise InputError(f"sweep: one solve needs {each} bytes, {self.allowed:.3g} are allowed; raise memory=")
-        usual = CHUNK_IN_SHORT_STEPS if self.in_short_steps else CHUNK
+        usual = CHUNK_IN_INCREMENTS if self.in_increments else CHUNK
         most = max((self.chunk_size or min(usual, int(self.allowed // each) * self.steps)) // self.steps, 1)
         sizes = [1 if d is self.path else d.size for d in self.dimensions]
         chunks = even_chunks(sizes, most, [bool(d.options) for d in self.dimensions])
@@ -229,7 +229,7 @@ class Sweep:
         return self.pulled[0] if self.history and len(self.pulled) == 1 else None
 
     @property
-    def in_short_steps(self) -> bool:
+    def in_increments(self) -> bool:
         """Whether a history has no exact answer."""
         return bool(self.history) and (self.case.manipulator.num_tendons > 1 or self.case.loads is not None)
 
@@ -277,7 +277,7 @@ class Sweep:
             "radii and offsets": recorded(np.stack([np.asarray(profile(along), float) for profile in profiles])),
             "kinematics": self.manipulator.kinematics,
             "history": self.history,
-            **({"short_steps": self.short_steps} if self.in_short_steps else {}),
+            **({"short_steps": self.short_steps} if self.in_increments else {}),
             "nodes": self.nodes,
             "method": recorded(self.method),
             "outputs": list(self.outputs),
