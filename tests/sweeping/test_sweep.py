@@ -226,9 +226,11 @@ def test_loops_of_several_tendons_and_under_loads_are_traces():
         body = eqx.tree_at(lambda b: b.friction_coefficient, PAIR, np.asarray(mu))
         return np.asarray(cddf.trace(body, [[pull, 20.0] for pull in PULL], throw=False, **few).tip_angle)
 
-    mu, step = float(PAIR.friction_coefficient), 1e-5
+    mu, step = float(PAIR.friction_coefficient), 1e-4
     differences = (angles(mu + step) - angles(mu - step)) / (2 * step)
-    np.testing.assert_allclose(slopes.tip_angle_by_friction_coefficient[:, 1], differences, atol=1e-6)
+    np.testing.assert_allclose(
+        slopes.tip_angle_by_friction_coefficient[:, 1], differences, rtol=1e-4
+    )  # rounding of slips
     constant = cddf.sweep(PAIR, across, history="base_tension_1", **few)
     history = cddf.trace(PAIR, [[pull, 20.0] for pull in PULL], throw=False, **few)
     np.testing.assert_allclose(constant.tip_angle[:, 1], history.tip_angle, rtol=1e-7)

@@ -82,6 +82,7 @@ class Grid(eqx.Module):
     def reading(self, nodes: Node, goal: Goal) -> Number:
         """What is given of a driven tendon; the tip angle needs the headings of a body under loads."""
         if goal.quantity == "tip_angle":
+            assert nodes.heading is not None
             return self.geometry.tip_angle(nodes.heading[-1])
         if goal.quantity == "total_tension":
             return jnp.sum(nodes.tension[0])
@@ -205,9 +206,12 @@ def missing(grid: Grid, element: Element, start: Node, end: Node) -> Missing:
         limit = limit + element.width * before.drag
     limit = where_present(before, where_present(beyond, limit))
     heading = moment = None
-    if start.heading is not None:
+    if there.step is not None and element.force is not None:  # under loads
+        assert start.heading is not None
+        assert end.heading is not None
+        assert start.moment is not None
+        assert end.moment is not None
         heading = end.heading - geometry.turned_on(start.heading, element.width * there.strain)
-    if start.moment is not None:
         moment = end.moment - start.moment - geometry.moment_rate(there.step, element.force)
     slip = start.slip - end.slip - element.weight * there.slip_rate
     return Missing(slip, heading, moment, start.tension - end.tension, limit)

@@ -24,7 +24,7 @@ Number = Float[Array, ""]
 PerElement = Float[Array, "K tendons"]
 
 
-class Body(NamedTuple):
+class OnGrid(NamedTuple):
     """The body after an increment."""
 
     nodes: Node  # leading axis K + 1; the last one is beyond the tip
@@ -37,7 +37,7 @@ class Setting(eqx.Module):
 
     grid: Grid
     given: Given
-    before: Body
+    before: OnGrid
     driven: tuple[Goal, ...] = eqx.field(static=True)
 
 
@@ -60,12 +60,12 @@ class _Search(NamedTuple):
     done: Bool[Array, ""]
 
 
-def after_increment(setting: Setting) -> Body:
+def after_increment(setting: Setting) -> OnGrid:
     """The body after a small change of the tensions or displacements at its base, and of the loads.
 
     Derivatives are those of the equations.
     """
-    return Body(*_after_increment(setting))
+    return OnGrid(*_after_increment(setting))
 
 
 @eqx.filter_custom_jvp

@@ -16,7 +16,7 @@ from ..robot.loads import Loads
 from ..statics.equilibrium import nan_unless
 from ..statics.solve import solve
 from .grid import Along, Given, Goal, Grid, Node, along
-from .increment import Body, Setting, after_increment
+from .increment import OnGrid, Setting, after_increment
 
 Number = Float[Array, ""]
 AT_LIMIT = 1e-3  # a tendon counts as sliding where |z| is above 1 less this
@@ -26,7 +26,7 @@ class Instant(NamedTuple):
     """A body at one instant, with work and loss up to it."""
 
     given: Given
-    body: Body
+    body: OnGrid
     slid: Float[Array, "K tendons"]  # slip towards the base in the last increment, m
     work: Number  # of actuators and loads since the straight body, J
     friction_loss: Number  # J
@@ -54,7 +54,7 @@ def at_rest(grid: Grid, given: Given, loads: Loads | None) -> Instant:
     nodes = Node(none, heading, none, moment)
     slip = jnp.cumsum((grid.weights[:, None] * grid.at_all(nodes, given.force)[1])[::-1], axis=0)[::-1]
     nodes = nodes._replace(slip=jnp.concatenate([slip, none[:1]]))
-    body = Body(nodes, none[1:], good)
+    body = OnGrid(nodes, none[1:], good)
     settled = after_increment(Setting(grid, given, body, ())) if loads is not None else body
     instant = Instant(given, settled, none[1:], none[0, 0], none[0, 0])
     return instant._replace(work=stored_in(grid, instant))
@@ -220,7 +220,7 @@ def crosses(grid: Grid, instant: Instant) -> Bool[Array, ""]:
     return jnp.any(where_present(grid.sections, inside) >= 1.0)
 
 
-def direction_of(share: Float[Array, "*steps K tendons"], slid: Array) -> Float[Array, "*steps tendons"]:
+def base_direction(share: Float[Array, "*steps K tendons"], slid: Array) -> Float[Array, "*steps tendons"]:
     """+1 for a tendon that slides in at the base, -1 for one that slides out."""
     without_tension = (share[..., 0, :] == 0) & (slid[..., 0, :] < 0)
     return jnp.where((share[..., 0, :] < 0) | without_tension, -1.0, 1.0)
@@ -228,7 +228,7 @@ def direction_of(share: Float[Array, "*steps K tendons"], slid: Array) -> Float[
 
 def fronts_of(grid: Grid, share: Float[Array, "steps K tendons"], slid: Array) -> Float[Array, "steps tendons"]:
     """The arc length, m, up to which each tendon slides in one direction from the base."""
-    along, widths = share * direction_of(share, slid)[:, None], grid.widths[:, None]
+    along, widths = share * base_direction(share, slid)[:, None], grid.widths[:, None]
     moved_freely = (share == 0) & (slid != 0)  # without tension there is no friction
     whole = jnp.cumprod((along > 1 - AT_LIMIT) | moved_freely | (widths == 0), axis=1)
     first = jnp.sum(whole, axis=1, keepdims=True).astype(int)

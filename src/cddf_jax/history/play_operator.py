@@ -123,6 +123,17 @@ def congruent_history(
     numbers = tip.tension, added.heading, added.position, added.pulled_in + outside, added.error
     tension, heading, position, pulled_in, error = jax.vmap(nan_unless)(good, numbers)
     still_open = turns.open[-1]
+    states = CongruentStates(
+        manipulator=body,
+        nodes=nodes,
+        num_steps=num_steps,
+        open_tension=nan_unless(good[-1], jnp.where(still_open == NO_STEP, path[-1], path[still_open])),
+        path=path,
+        turns=all_turns,
+        front=fronts,
+        stored_energy=added.stored + outside * path[-num_steps:] / 2,
+        earlier=earlier,
+    )
     return History(
         base_tension=path[-num_steps:],
         tip_tension=tension,
@@ -135,18 +146,26 @@ def congruent_history(
         tendon_displacement=pulled_in,
         error_estimate=error,
         status=added.status if drive is None else _with_drive(added.status, drive, usable),
-        _states=CongruentStates(
-            manipulator=body,
-            nodes=nodes,
-            num_steps=num_steps,
-            open_tension=nan_unless(good[-1], jnp.where(still_open == NO_STEP, path[-1], path[still_open])),
-            path=path,
-            turns=all_turns,
-            front=fronts,
-            stored_energy=added.stored + outside * path[-num_steps:] / 2,
-            earlier=earlier,
-        ),
+        _states=states if known.size else _with_rest_before(states),
     )
+
+
+def _with_rest_before(states: CongruentStates) -> CongruentStates:
+    """The states from rest behind as many steps of 0 N as a continued history has, so that `lax.scan` carries both."""
+    turns, zero = states.turns, 0.0 * states.path[:1]
+    count = turns.open.shape[1]
+    steps = jnp.arange(count)
+    none = jnp.full((count, count), NO_STEP)
+    resting = Turns(jnp.ones(count), none[0], 0 * steps, none.at[:, 0].set(steps), steps < 0)
+
+    def later(step: Array) -> Array:
+        return jnp.where(step == NO_STEP, NO_STEP, step + count)
+
+    turns = turns._replace(before=later(turns.before), open=later(turns.open))
+    behind = jax.tree.map(lambda a, b: jnp.concatenate([a.astype(b.dtype), b]), resting, turns)
+    zeros = jnp.zeros(count) + zero
+    path, front = jnp.concatenate([zeros, states.path]), jnp.concatenate([zeros, states.front])
+    return replace(states, path=path, turns=behind, front=front, earlier=jnp.zeros(2) + zero)
 
 
 def _path(

@@ -104,7 +104,7 @@ def trace(
         quantity, values = _path(base_tension)
         if manipulator.in_space and not isinstance(values, Tracer):
             check_range_in_space("trace", quantity, values)
-        past = _before(before, start, max_turns, values.dtype)
+        past = _before(before, start, values.dtype)
         _check_largest(past, quantity, values)
         program = partial(congruent_history, manipulator, values, past, nodes, max_turns, quantity)
     else:
@@ -148,7 +148,7 @@ def _as_known(manipulator: Manipulator, base_tension: Driven, loads: Loads | Seq
 
 def _check_largest(past: Before, quantity: str, values: Array) -> None:
     """Refuse a `before` that is smaller than the tension of the first step, where the numbers are known."""
-    if past.work_and_loss is not None or isinstance(past.open_tension, Tracer):  # from rest, or after a history
+    if past.work_and_loss is not None or past.open_tension.size == 0 or isinstance(past.open_tension, Tracer):
         return
     largest = float(past.open_tension[0])
     first = 0.0 if quantity != "base_tension" or isinstance(values, Tracer) else float(values[0])
@@ -237,16 +237,14 @@ def _path(given: Driven) -> tuple[str, Float[Array, " steps"]]:
     return quantity, numbers
 
 
-def _before(before: ArrayLike | Literal["rest"], start: History | None, max_turns: int, dtype: jnp.dtype) -> Before:
+def _before(before: ArrayLike | Literal["rest"], start: History | None, dtype: jnp.dtype) -> Before:
     at_rest = isinstance(before, str) and before == "rest"
     if not at_rest and (isinstance(before, str) or np.ndim(before) != 0):
         raise ValueError(f'trace: before must be "rest" or the largest base tension, N, got {before!r}')
     if not at_rest:
         check_numbers("trace: before", before)
     if start is None:
-        if at_rest:  # with the shapes of a history that continues another one
-            return Before(jnp.zeros(max_turns, dtype), jnp.zeros(2, dtype))
-        return Before(jnp.asarray(before, dtype)[None])
+        return Before(jnp.zeros(0, dtype) if at_rest else jnp.asarray(before, dtype)[None])
     if not at_rest:
         raise ValueError(BOTH_GIVEN)
     states = start._states

@@ -54,9 +54,9 @@ LEAST_TURN = 1e-11  # rad: below it the turn of a tendon counts as this, so that
 ELASTIC = 3e-12  # m, by which a tendon moves in an element before it slides
 REMEMBERED = 1000.0  # elastic slips, with which a tendon that slid begins an increment: z is 1 less 5e-7
 SLIDING = 1e-13  # of 1 - z^2: what rounding leaves of it where a tendon slides
-INCREMENT = 1e-10  # relative change in a round that has settled
+INCREMENT = 1e-12  # relative change in a round that has settled: slips to a hundredth of the elastic one
 PATIENCE = 20  # rounds, after which steps are damped, and rounding errors of slips may be as large as the next number
-INCREMENT_ROUNDING = 1e-8
+INCREMENT_ROUNDING = 1e-10
 # elastic slip at first, m; factor on it after a round whose change was smaller than the next number; most rounds
 ATTEMPTS = (
     (ELASTIC, 1.0, 0.0, 10.0),
