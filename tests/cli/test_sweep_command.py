@@ -565,7 +565,7 @@ def test_loops_of_a_pair_are_those_of_its_traces(run, pair_file):
     found = [float(row["tip_angle [rad]"]) for row in rows_of("loops.csv")]
     for i, against in enumerate((5.0, 20.0)):
         path = [[tension, against] for tension in (0.0, 25.0, 50.0, 75.0, 40.0)]
-        history = cddf.trace(paper_body("exact", num_tendons=2), path, nodes=8, short_steps=4)
+        history = cddf.trace(paper_body("exact", num_tendons=2), path, nodes=8, short_steps=4, throw=False)
         np.testing.assert_allclose(found[i::2], history.tip_angle, rtol=1e-7)
 
 

@@ -169,13 +169,14 @@ def test_a_lane_that_fails_is_alone():
 @pytest.mark.slow
 @pytest.mark.parametrize("loaded", [False, True])
 def test_random_paths_settle_and_forget(loaded):
-    """Three tendons that are let go and pulled in proportion end where `solve` does, whatever came before."""
-    rng, pull = np.random.default_rng(11), np.outer([0.0, 60.0], [1.0, 0.4, 0.3])
+    """Three tendons that are let go, so that friction forgets, and pulled again end as if nothing had been before."""
+    rng, pull = np.random.default_rng(11), np.array([[0.0, 0.0, 0.0], [60.0, 24.0, 18.0]])
     loads = cddf.Loads(tip_force=(0.0, 0.1, 0.2)) if loaded else None
-    expected = cddf.solve(STARS, pull[1], loads)
+    few = {"nodes": 8, "short_steps": 8, "throw": False}
+    expected = cddf.trace(STARS, pull, loads, **few)
     for _ in range(3):
         path = np.concatenate([rng.uniform(0.0, 60.0, (6, 3)), pull])
-        found = cddf.trace(STARS, path, loads, nodes=8, short_steps=8, throw=False)
+        found = cddf.trace(STARS, path, loads, **few)
         assert np.all(np.isfinite(found.tip_angle))
-        np.testing.assert_allclose(found.tip_tension[-1], expected.tip_tension, atol=0.05)
-        np.testing.assert_allclose(found.tip_position[-1], expected.tip_position, atol=1e-3 * LENGTH)
+        np.testing.assert_allclose(found.tip_tension[-1], expected.tip_tension[-1], atol=1e-3)
+        np.testing.assert_allclose(found.tip_position[-1], expected.tip_position[-1], atol=1e-6 * LENGTH)
