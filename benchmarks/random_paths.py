@@ -1,8 +1,8 @@
 """How many random paths of several tendons settle, in the plane and in space, with loads and without.
 
-Each path has 12 steps. Of the tensions, up to 50 N, four of ten stay from step to step and one of seven is 0 N; friction
-is 0.1 to 0.6. Without an argument all kinds of bodies are followed; `python random_paths.py space 3 loaded 64` is one kind
-with its number of paths.
+Each path has 12 steps. Of the tensions, up to 50 N, four of ten stay from step to step and one of seven is 0 N.
+Friction is 0.1 to 0.6. Without an argument all kinds of bodies are followed; `python random_paths.py space 3 loaded 64`
+is one kind with its number of paths.
 """
 
 import sys
