@@ -94,6 +94,7 @@ def test_the_tables_are_met(body, table, atol):
             assert apart < found.error_estimate[step] + 1e-3  # the table's own error
 
 
+@pytest.mark.slow
 def test_one_tendon_is_as_the_exact_trace():
     """A helix without loads, and with loads that are zero."""
     body, path = robot((cddf.Linear(0.0, PI, LENGTH),)), [75.0, 60.0, 40.0, 20.0, 50.0]
@@ -137,7 +138,8 @@ def test_work_is_stored_or_lost():
     np.testing.assert_allclose(found.stored_energy[-1], found.stored_energy[0], atol=1e-7)
 
 
-@pytest.mark.parametrize("mode", [jax.jacfwd, pytest.param(jax.jacrev, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", [jax.jacfwd, jax.jacrev])
 def test_derivatives(mode):
     """Against differences so small that no tendon begins to slide or to rest in another element."""
 
