@@ -73,7 +73,7 @@ def _after_increment(setting: Setting) -> tuple[Node, PerElement, Bool[Array, ""
     zero, before = zero_as(setting), setting.before
     start, share = varying_as((_with_ends(setting, before.nodes), before.share), zero)
     sliding_on = _strain_of(share)  # where tendons slide, they are expected to slide on
-    first = _Search(start, sliding_on, share, zero + tol.ELASTIC, zero, zero + jnp.inf, zero, zero > 0)
+    first = _begun(start, sliding_on, share, zero + tol.ELASTIC, zero)
 
     def unfinished(state: _Search) -> Bool[Array, ""]:
         return ~state.done & (state.attempt < len(tol.ATTEMPTS))
@@ -81,6 +81,11 @@ def _after_increment(setting: Setting) -> tuple[Node, PerElement, Bool[Array, ""
     end = jax.lax.while_loop(unfinished, partial(_round, setting, start), first)
     nodes = jax.tree.map(partial(jnp.where, end.done), end.nodes, start)  # finite in either case
     return nodes, _share(setting, nodes), end.done & before.converged
+
+
+def _begun(start: Node, strain: PerElement, share: PerElement, elastic: Number, attempt: Number) -> _Search:
+    none = 0.0 * elastic
+    return _Search(start, strain, share, elastic, none, none + jnp.inf, attempt, none > 0)
 
 
 def _round(setting: Setting, start: Node, state: _Search) -> _Search:
@@ -92,24 +97,15 @@ def _round(setting: Setting, start: Node, state: _Search) -> _Search:
     nodes = jax.tree.map(lambda x, dx: x + part * dx, state.nodes, change)
     share = jnp.clip(law.level + part * law.slope * change.slip[1:], -1.0, 1.0)
     size, last = _size(setting.grid, nodes, change), state.elastic <= tol.ELASTIC
-    first, shrink, rough, most = (jnp.asarray(x)[state.attempt.astype(int)] for x in zip(*tol.ATTEMPTS, strict=True))
+    _, shrink, rough, most = (jnp.asarray(x)[state.attempt.astype(int)] for x in zip(*tol.ATTEMPTS, strict=True))
     elastic = jnp.maximum(jnp.where(size < rough, shrink, 1.0) * state.elastic, tol.ELASTIC)
     done = last & ~halved & (size < jnp.where(state.rounds > tol.PATIENCE, tol.INCREMENT_ROUNDING, tol.INCREMENT))
     onward = _Search(
         nodes, _strain(setting, nodes, elastic), share, elastic, state.rounds + 1, size, state.attempt, done
     )
     attempt = state.attempt + 1
-    first = jnp.asarray([elastic for elastic, *_ in tol.ATTEMPTS] + [1.0])[attempt.astype(int)]
-    again = _Search(
-        start,
-        _strain(setting, start, first),
-        setting.before.share,
-        first + 0.0 * elastic,
-        0.0 * state.rounds,
-        jnp.inf + 0.0 * size,
-        attempt,
-        done & False,
-    )
+    first = jnp.asarray([elastic for elastic, *_ in tol.ATTEMPTS] + [1.0])[attempt.astype(int)] + 0.0 * elastic
+    again = _begun(start, _strain(setting, start, first), setting.before.share, first, attempt)
     stuck = ~done & (~all_finite(size) | (state.rounds >= most))
     return jax.tree.map(lambda a, b: jnp.where(stuck, a, b), again, onward)
 

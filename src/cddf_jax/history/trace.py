@@ -71,8 +71,8 @@ def trace(
             tendons that never had a tension. For several tendons, (tendons,), and under loads, it is a step before the
             first, to which all tensions rise linearly from rest; loads that change along the path come after it.
         start: the history of the same body that continues, in place of `before`. Its elements are kept, not `nodes`.
-            The carry of `jax.lax.scan` must keep its structure: begin with `trace(body, [0.0])` for as many steps as
-            are given each time.
+            The carry of `jax.lax.scan` must keep its structure: begin with a history of as many steps as each call has,
+            such as `trace(body, [0.0])` for one step.
         nodes: Gauss nodes in each smooth piece of the body, 4 or more; static. With several tendons or loads the piece
             has four times as many elements.
         max_turns: how many turns can be remembered at once, 1 or more; static. Where there are more, the status of the

@@ -27,7 +27,7 @@ from .tension_before import REST, Past, Start, past_of
 
 STEPS = 16  # paths are traced in multiples of this number, so that tables share compiled programs
 FEW_STEPS = 4  # the same for paths that are followed in increments
-ELEMENTS = 2  # times the nodes, half as many as `trace` takes: their error is told beside the estimates
+ELEMENTS_IN_FITS = 2  # times the nodes, half as many as `trace` takes: their error is told beside the estimates
 SHORT_STEPS = 4  # in each step of a path without an exact answer
 MOST_REMEMBERED = 60  # turns whose effect on later rows counts in the errors of base tensions
 WITHOUT = "give history=False (--no-history), which lets each tendon slide one way in each row"
@@ -155,7 +155,7 @@ class Course(eqx.Module):
             loads_with: gives all loads for a tip force, of one row or of all steps of a path.
             markers_on: gives the markers after each step.
             deviation: (trials,), ln(mu of a trial / mu), or None.
-            nodes: as in `trace`.
+            nodes: as in `trace`; in increments there are twice as many elements as nodes.
         """
 
         def one(tension: Array, force: Array | None, deviation: Array | None):
@@ -185,7 +185,9 @@ class Course(eqx.Module):
         resting = loads_with(force[0] if force is not None and self.force_stays else None)
         path = path._replace(resting=jax.tree.map(lambda x: jnp.asarray(x, float), resting))
         path = path.behind(tension[0]) if num_before else path
-        return stepped_history(body, path, None, Following((), ELEMENTS * nodes, self.short_steps, estimated=False))
+        return stepped_history(
+            body, path, None, Following((), ELEMENTS_IN_FITS * nodes, self.short_steps, estimated=False)
+        )
 
 
 def between(course: Course, points: int) -> tuple[Course, list[np.ndarray]]:

@@ -63,10 +63,10 @@ def _check_history(work: "Sweep") -> None:
         what = others[0] if others else "method"
         raise InputError(f"sweep: with history there is no {what}; leave it out")
     if work.in_increments:
-        _check_short_steps(work)
+        _check_increments(work)
 
 
-def _check_short_steps(work: "Sweep") -> None:
+def _check_increments(work: "Sweep") -> None:
     """Refuse what cannot be followed in increments."""
     entries = jax.tree.leaves(work.case.base_tension, is_leaf=lambda entry: isinstance(entry, Target))
     if any(isinstance(entry, Target | TipPosition) for entry in entries):
