@@ -1,5 +1,6 @@
 """How searches go on: portions of steps, Ctrl-C, the misfit that progress shows, the time limit."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -31,6 +32,40 @@ def test_portions_of_steps_find_the_same(monkeypatch):
         WATCHED.reset(before)
     assert all(one.solved and 3 < one.num_steps < 100 for one in found)
     np.testing.assert_allclose(found[0].parameters, found[1].parameters, rtol=1e-8)
+
+
+def test_a_portion_does_not_look_again_where_the_one_before_ended(monkeypatch):
+    """One look at the first place, and one for each step, however many portions they are divided into."""
+    monkeypatch.setattr(levenberg_marquardt, "BRIEF", -1.0)
+    looks = []
+
+    def counted(p):
+        jax.debug.callback(lambda: looks.append(1))
+        return decay(p)
+
+    problem = least_squares_fit(counted, START, DATA, sigma=0.01).minimum.problem
+    looks.clear()
+    before = WATCHED.set(Watch(portion=1))
+    found = minimise(problem, np.array([0.3, -0.4]))
+    WATCHED.reset(before)
+    jax.effects_barrier()
+    assert len(looks) == found.num_steps + 1
+
+
+def test_a_model_that_is_not_good_to_all_digits_is_not_searched_to_the_last_one():
+    """Noise of 1e-8 in the model, without a derivative: the estimates are those without it, to 1 % of their errors."""
+
+    def rough(p):
+        return decay(p) + 1e-8 * jax.lax.stop_gradient(jnp.sin(1e12 * p["rate"] * (1 + X)))
+
+    smooth, found = (
+        least_squares_fit(model, START, DATA, sigma=0.01, accuracy=accuracy)
+        for model, accuracy in ((decay, 0.0), (rough, 1e-6))
+    )
+    assert found.success
+    assert found.num_steps <= smooth.num_steps
+    for name, error in smooth.standard_error.items():
+        assert abs(found.value[name] - smooth.value[name]) < 0.01 * error
 
 
 @pytest.mark.parametrize("looks", [1, 3])

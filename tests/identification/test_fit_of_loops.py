@@ -496,7 +496,7 @@ def test_a_loop_under_gravity(num_tendons):
     The tip force is a column of the table for one tendon, and one of the loads of all rows for two.
     """
     body, path = heavy(num_tendons), np.array([[20.0, 60, 35, 15], np.full(4, 10.0)])[:num_tendons].T
-    history = cddf.trace(body, path, HEAVY, nodes=8, short_steps=2)
+    history = cddf.trace(body, path, HEAVY, nodes=8, short_steps=2, throw=False)  # coarse: its error is said
     names = [f"{name}{end}" for end in ("", "_2")[:num_tendons] for name in ("base_tension", "tip_tension")]
     numbers = np.stack([path, np.reshape(history.tip_tension, path.shape)], axis=2).reshape(4, -1).T
     columns = dict(zip(names, numbers, strict=True)) | {"tip_angle": history.tip_angle, "step": range(4)}

@@ -175,6 +175,7 @@ def least_squares_fit(
     seed: int = 0,
     prefer_start: bool = False,
     max_steps: int = MAX_STEPS,
+    accuracy: float = 0.0,
     inputs: InputErrors | None = None,
 ) -> LeastSquaresFit:
     """Fit parameters by Levenberg-Marquardt and say what the data determine.
@@ -201,6 +202,8 @@ def least_squares_fit(
         prefer_start: if the data leave a valley open, end where its first parameter has its start value, and not at the
             shallow minimum that noise makes somewhere in the valley.
         max_steps: of the optimiser.
+        accuracy: of the sum of squares, relative, for a model whose derivative jumps or that is not good to all digits:
+            a search ends where a whole step of Gauss-Newton promises less.
         inputs: of the model, where they were read with errors, see `InputErrors`.
 
     Raises:
@@ -239,7 +242,7 @@ def least_squares_fit(
             dict.fromkeys(inputs.sigma, 0.0),
             len(shared.basis),
         )
-    problem = LeastSquaresProblem(predict, unravel, labels, data, shared, space, loss, max_steps)
+    problem = LeastSquaresProblem(predict, unravel, labels, data, shared, space, loss, max_steps, accuracy)
     task = FitTask(problem, groups, prefer_start, inputs)
     return _conclude(task.groups, jax.tree.structure(observed), search(task, starts, seed), seed)
 

@@ -4,14 +4,14 @@ import time
 from collections.abc import Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, ArrayLike, Float, Int
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from ..progress import SHOWN, stage
 from .parameter_space import TINY, Numbers
@@ -23,6 +23,7 @@ MAX_STEPS = 500
 BRIEF = 0.3  # s: after a portion of steps that took longer, the next one is shorter
 LONG = 20.0  # s: a search that took longer says how to stop it
 UNEXPLAINED = 0.9  # of the scatter of the data, left in the residuals: hardly anything is explained
+CLEARLY = 10.0  # factor between a cost above a limit and what a step promises, where no step brings it below
 SHORTER = 0.25  # factor on the reach after the first step in a row that was not taken
 
 
@@ -59,6 +60,15 @@ class Minimum(NamedTuple):
             cost = float(np.sum(problem.softened(residual) ** 2))
         return cost if np.isfinite(cost) else np.inf
 
+    def is_enough(self, closing: float) -> bool:
+        """Whether a whole step of Gauss-Newton promises nothing of interest: it stays clearly above a closing cost."""
+        problem, outcome = self.problem, self.outcome
+        if not np.isfinite(outcome.cost) or not np.all(np.isfinite(outcome.jacobian)):
+            return False
+        basis, _ = np.linalg.qr(outcome.jacobian[:, np.any(outcome.jacobian, axis=0)])  # those that are held are 0
+        promised = np.sum((basis.T @ problem.influence(outcome.residual)) ** 2)
+        return bool(promised < problem.accuracy * outcome.cost or CLEARLY * promised < outcome.cost - closing)
+
     @property
     def misfit(self) -> tuple[float, str]:
         """The largest ratio of residuals to the scatter of the data, root mean squares, of a group; and its name."""
@@ -80,12 +90,27 @@ class Minimum(NamedTuple):
         ratio, group = self.misfit
         return f"step {self.outcome.num_steps}, misfit {100 * ratio:.3g} % ({group}), {numbers}"
 
-    def refit(self, held: np.ndarray, z: np.ndarray | None = None) -> tuple[Outcome, float]:
+    def beside(self, i: int, place: float) -> np.ndarray:
+        """The z where parameter i has another value, and to first order the others are fitted again."""
+        space, z, jacobian = self.problem.space, self.outcome.z, self.outcome.jacobian
+        _, stretch = jax.jvp(space.parameters, (z,), (np.ones_like(z),))
+        slope = jacobian * np.asarray(stretch) / self.outcome.size
+        others = np.arange(len(z)) != i
+        change = np.zeros(len(z))
+        change[i] = space.inverse(i, place) - z[i]
+        change[others] = -np.linalg.lstsq(slope[:, others], slope[:, i] * change[i])[0]
+        return z + change
+
+    def refit(
+        self, held: np.ndarray, z: np.ndarray | None = None, closing_rise: float = np.inf
+    ) -> tuple[Outcome, float]:
         """Hold some parameters (`held` is NaN for the others), and fit the others, from z or from here.
 
-        Returns where the search ended, and the rise of the cost: NaN if the model gives no number.
+        Returns where the search ended, and the rise of the cost: NaN if the model gives no number. The search ends early
+        where the rise is clearly above `closing_rise`.
         """
-        moved = minimise(self.problem, self.outcome.z if z is None else z, held)
+        first = self.outcome.z if z is None else z
+        moved = minimise(self.problem, first, held, self.outcome.cost + closing_rise)
         return moved, float(moved.cost - self.outcome.cost)
 
 
@@ -121,23 +146,31 @@ class Watch:
 WATCHED: ContextVar[Watch | None] = ContextVar("WATCHED", default=None)
 
 
-def minimise(problem: LeastSquaresProblem, z: np.ndarray, held: np.ndarray | None = None) -> Outcome:
+def minimise(
+    problem: LeastSquaresProblem, z: np.ndarray, held: np.ndarray | None = None, closing: float = np.inf
+) -> Outcome:
     """Search for the minimum from the dimensionless unknowns z.
 
     `held` are values at which parameters are held, NaN for those that are free. The steps are done in portions, so that
-    progress can be shown, and the search can be interrupted.
+    progress can be shown, and the search can be interrupted. It ends early where the cost is clearly above `closing`.
     """
-    watch, reach, steps = WATCHED.get() or Watch(), np.array([1.0, SHORTER]), 0
+    watch, reach, steps, known = WATCHED.get() or Watch(), np.array([1.0, SHORTER]), 0, None
     at = np.full(len(z), np.nan) if held is None else held
     with stage("step 1") as here:
         while True:
             begun, portion = time.monotonic(), min(watch.portion, problem.max_steps - steps)
-            *found, reach, ended = map(np.asarray, _descend(problem, z, at, reach, np.asarray(portion), TOLERANCE))
-            outcome = Outcome(*found)
+            if known is None and np.isfinite(closing):
+                portion = 0  # a look at the first place may do
+            *found, known, reach, ended = _descend(
+                problem, z, at, known or _nothing_known(problem, z), reach, np.asarray(portion), TOLERANCE
+            )
+            outcome = _outcome(found)
             first, steps, z = steps == 0, steps + int(outcome.num_steps), outcome.z
             minimum = Minimum(problem, outcome._replace(num_steps=np.asarray(steps)))
             now = time.monotonic()
             watch.saw(minimum, now - begun, first=first, free=held is None)
+            if minimum.is_enough(closing):
+                return minimum.outcome._replace(solved=np.asarray(True))
             if ended or steps >= problem.max_steps or now > watch.deadline:
                 return minimum.outcome
             if SHOWN.get():
@@ -158,12 +191,18 @@ def minimise_all(problem: LeastSquaresProblem, z: np.ndarray, data: Data) -> Out
 
 def evaluate(problem: LeastSquaresProblem, z: np.ndarray) -> Outcome:
     """Cost, residuals and derivatives at z, as if a search had ended there."""
-    return _outcome((*_at(problem, z, np.full(len(z), np.nan)), 0, True))
+    free = np.full(len(z), np.nan)
+    return _outcome((*_at(problem, z, free, _residual_and_slope(problem, free, z)), 0, True))
 
 
 def _outcome(found: Sequence[ArrayLike]) -> Outcome:
     """An outcome from the arrays of a program."""
     return Outcome(*map(np.asarray, found))
+
+
+def _nothing_known(problem: LeastSquaresProblem, z: Float[Numbers, " n"]) -> "_Known":
+    rows = problem.num_data + len(problem.data.prior)
+    return _Known(np.zeros(rows), np.zeros((rows, len(z))), np.asarray(False))
 
 
 # --- the steps, by optimistix --------------------------------------------------------------------
@@ -211,12 +250,23 @@ class _TrustRegion(optx.AbstractSearch):
         return size, accept | rounding | short, paused, new
 
 
+class _Known(NamedTuple):
+    """What is known of the first place of a portion."""
+
+    residual: Float[Numbers, " m"]
+    slope: Float[Numbers, "m n"]
+    known: Bool[Numbers, ""]
+
+
 @eqx.filter_jit
 def _at(
-    problem: LeastSquaresProblem, z: Float[Numbers, " n"], held: Float[Numbers, " n"]
+    problem: LeastSquaresProblem,
+    z: Float[Numbers, " n"],
+    held: Float[Numbers, " n"],
+    found: tuple[Float[Numbers, " m"], Float[Numbers, "m n"]],
 ) -> tuple[Float[Numbers, "..."], ...]:
-    """The first entries of an outcome at a place, from z to the cost."""
-    residual, by_z = _residual_and_slope(problem, held, z)
+    """The first entries of an outcome at a place, from z to the cost, with the residual and its Jacobian there."""
+    residual, by_z = found
     parameters, stretch = jax.jvp(lambda z: problem.parameters(z, held), (z,), (jnp.ones_like(z),))
     size = problem.space.size(parameters)
     slope = by_z / jnp.where(stretch == 0, 1.0, stretch)
@@ -240,24 +290,32 @@ def _descend(
     problem: LeastSquaresProblem,
     z: Float[Numbers, " n"],
     held: Float[Numbers, " n"],
+    known: _Known,
     reach: Float[Numbers, " 2"],
     portion: Int[Numbers, ""],
     tolerance: float,
-) -> tuple[ArrayLike, ...]:
-    """A portion of steps from z: the entries of an outcome, the reach of the next step, and whether the search ended.
+) -> tuple[Any, ...]:
+    """A portion of steps from z: the entries of an outcome, what is known of its place, the reach, whether it ended.
 
-    With an explicit Jacobian, the optimiser need not differentiate the model for every product with it. It is computed
-    in one place, so that it is traced once.
+    With an explicit Jacobian, the optimiser need not differentiate the model for every product with it. The model is
+    evaluated in one place, so that it is traced once, and not again where the portion before has ended.
     """
+    first = jnp.asarray(z)
+
+    def looked(z):
+        there = known.known & jnp.all(z == first)
+        return jax.lax.cond(there, lambda: known[:2], lambda: _residual_and_slope(problem, held, z))
 
     @jax.custom_jvp
     def residual(z):
-        return problem.softened(_residual_and_slope(problem, held, z)[0])
+        value, slope = looked(z)
+        return problem.softened(value), (value, slope)
 
     @residual.defjvp
     def _(primals, tangents):
-        value, slope = _residual_and_slope(problem, held, *primals)
-        return jax.jvp(problem.softened, (value,), (slope @ tangents[0],))
+        value, slope = looked(*primals)
+        softened, change = jax.jvp(problem.softened, (value,), (slope @ tangents[0],))
+        return (softened, (value, slope)), (change, (jnp.zeros_like(value), jnp.zeros_like(slope)))
 
     region = _TrustRegion(reach=reach, portion=portion, tolerance=tolerance)
     optimiser = eqx.tree_at(lambda o: o.search, optx.LevenbergMarquardt(tolerance, tolerance), region)
@@ -266,24 +324,26 @@ def _descend(
         solution = optx.least_squares(
             lambda z, _: residual(z),
             optimiser,
-            jnp.asarray(z),
+            first,
+            has_aux=True,
             options={"jac": "fwd"},
             max_steps=problem.max_steps + 1,  # and the look at the first place
             throw=False,
         )
-        found = _at(problem, solution.value, held)
+    found = solution.state.aux  # of the place: `solution.aux` is that of the last step that was tried
     paused, search = solution.result == optx.RESULTS.nonlinear_max_steps_reached, solution.state.search_state
     solved = (solution.result == optx.RESULTS.successful) | (paused & solution.state.terminate)  # with its last step
     reach = jnp.stack([search.size, search.shrink])
-    return *found, search.num_steps, solved, reach, solved | ~paused
+    outcome = *_at(problem, solution.value, held, found), search.num_steps, solved
+    return *outcome, _Known(*found, jnp.asarray(True)), reach, solved | ~paused
 
 
 @eqx.filter_jit
 def _descend_all(problem: LeastSquaresProblem, data: Data, z: Float[Numbers, "searches n"]) -> tuple[ArrayLike, ...]:
-    free = jnp.full(z.shape[1], jnp.nan)
+    free, nothing = jnp.full(z.shape[1], jnp.nan), _nothing_known(problem, z[0])
 
     def one(data, z):
         whole = np.array([1.0, SHORTER]), np.asarray(problem.max_steps)
-        return _descend(replace(problem, data=data), z, free, *whole, BATCH_TOLERANCE)[:-2]
+        return _descend(replace(problem, data=data), z, free, nothing, *whole, BATCH_TOLERANCE)[:-3]
 
     return jax.vmap(one)(data, z)

@@ -106,6 +106,9 @@ class LeastSquaresProblem:
     space: ParameterSpace
     loss: str = field(metadata={"static": True})
     max_steps: int = field(metadata={"static": True})  # of a search
+    accuracy: float = field(
+        default=0.0, metadata={"static": True}
+    )  # of the cost, relative: a search need not get closer
 
     def residual(self, z: Float[Numbers, " n"], held: Float[Numbers, " n"]) -> Float[Array, " m"]:
         """(predicted - observed) / sigma of all groups, then (value - mean) / deviation of the priors.

@@ -203,7 +203,7 @@ def is_steep(minimum: Minimum, evidence: Evidence) -> bool:
     """Whether the cost has a slope where the search ended, not counting parameters at a bound."""
     outcome = minimum.outcome
     exact = np.linalg.norm(outcome.residual) <= EXACT * np.sqrt(outcome.residual.size)
-    steepest = STEEPEST if outcome.solved else STEEPEST_UNSOLVED
+    steepest = max(STEEPEST, np.sqrt(minimum.problem.accuracy)) if outcome.solved else STEEPEST_UNSOLVED
     return not exact and bool(np.any(slopes(minimum, outcome)[~evidence.at_bound] > steepest))
 
 
@@ -251,13 +251,14 @@ def look_along_valleys(
 
     def closes(i: int, places: Iterable[float]) -> bool:
         """Whether the sum of squares rises enough at one of the places, the nearest first."""
-        for place in places:
+        for k, place in enumerate(places):
             held = hold_one(len(value), i, place)
-            moved, rise = minimum.refit(held)
+            z = None if k else minimum.beside(i, place)  # further away, the valley may bend
+            needed = min(enough[i], EXPECTED_PART * ((place - value[i]) / error[i]) ** 2)
+            moved, rise = minimum.refit(held, z, needed)
             if rise < 0:
                 tried.append((rise, np.where(np.isnan(held), moved.z, space.inverse(i, place))))
-            expected = ((place - value[i]) / error[i]) ** 2
-            if not rise <= min(enough[i], EXPECTED_PART * expected):  # NaN: the model ends there
+            if not rise <= needed:  # NaN: the model ends there
                 return True
         return False
 
