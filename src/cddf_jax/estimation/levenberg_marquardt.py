@@ -106,8 +106,8 @@ class Minimum(NamedTuple):
     ) -> tuple[Outcome, float]:
         """Hold some parameters (`held` is NaN for the others), and fit the others, from z or from here.
 
-        Returns where the search ended, and the rise of the cost: NaN if the model gives no number. The search ends early
-        where the rise is clearly above `closing_rise`.
+        Returns where the search ended, and the rise of the cost: NaN if the model gives no number. The search ends
+        early where the rise is clearly above `closing_rise`.
         """
         first = self.outcome.z if z is None else z
         moved = minimise(self.problem, first, held, self.outcome.cost + closing_rise)
