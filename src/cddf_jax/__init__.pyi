@@ -50,7 +50,7 @@ from .mechanics.march import FixedPoint as FixedPoint
 from .progress import show_progress as show_progress
 from .reports.export import as_dataset as as_dataset, as_frame as as_frame
 from .reports.fit_report import write_fit as write_fit
-from .robot.loads import Loads as Loads
+from .robot.loads import Loads as Loads, PointLoad as PointLoad
 from .robot.manipulator import Manipulator as Manipulator, PointMass as PointMass, Tendon as Tendon, conical as conical
 from .robot.profiles import Constant as Constant, Linear as Linear, Piecewise as Piecewise, Spline as Spline
 from .statics.contact import Contact as Contact, self_contact as self_contact

@@ -91,6 +91,8 @@ _ALL = (
     Quantity("tip_force_y", "force"),
     Quantity("tip_force_z", "force"),
     Quantity("tip_moment", "moment"),
+    Quantity("force", "force", "force at a point"),
+    Quantity("moment", "moment", "moment at a point"),
     Quantity("gravity", "acceleration"),
     # its equilibrium
     Quantity("tip_tension", "force"),

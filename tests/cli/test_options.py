@@ -176,17 +176,17 @@ def test_loads_in_space():
     ],
 )
 def test_gravity_of_the_robot_file_acts_where_the_text_gives_none(texts, mounted, force, gravity):
-    loads = read_loads(*texts, mounted)
+    loads = read_loads(*texts, mounted=mounted)
     assert loads is not None
     assert np.asarray(loads.tip_force).tolist() == force
     assert np.asarray(loads.gravity).tolist() == gravity
 
 
 def test_zeros_switch_the_gravity_of_the_robot_file_off():
-    assert read_loads(None, None, "0, 0 m/s^2", (0.0, -9.81)) is None
-    assert read_loads(None, None, "0, 0, 0 m/s^2", (0.0, -9.81)) is None
-    assert read_loads(None, None, None, (0.0, 0.0)) is None
-    assert read_loads(None, None, None, None) is None
+    assert read_loads(None, None, "0, 0 m/s^2", mounted=(0.0, -9.81)) is None
+    assert read_loads(None, None, "0, 0, 0 m/s^2", mounted=(0.0, -9.81)) is None
+    assert read_loads(None, None, None, mounted=(0.0, 0.0)) is None
+    assert read_loads(None, None, None) is None
     assert read_loads(None, None, "0, 0 m/s^2") is not None  # as it always was: the text alone gives loads of zero
 
 

@@ -60,6 +60,13 @@ TipMoment = Annotated[
         help='Moment on the tip, such as "0.1 N m", positive from X to Y; in space (X, Y, Z), such as "0, 0, 0.1 N m".'
     ),
 ]
+PointLoads = Annotated[
+    list[str] | None,
+    typer.Option(
+        help='Dead load at a place of the body, and perhaps a moment, such as "60 mm: 0, -1 N" or '
+        '"60 mm: 0, -1 N and 0.1 N m"; give it once for each.',
+    ),
+]
 Gravity = Annotated[
     str | None,
     typer.Option(
@@ -194,14 +201,20 @@ def read_robot(robot: Path, kinematics: Kinematics | None, configure: Callable[[
         return read._replace(manipulator=replace(read.manipulator, kinematics=kinematics))
 
 
-def loads_of(robot: "RobotFile", tip_force: str | None, tip_moment: str | None, gravity: str | None) -> "Loads | None":
+def loads_of(
+    robot: "RobotFile",
+    tip_force: str | None,
+    tip_moment: str | None,
+    gravity: str | None,
+    point_load: Sequence[str] | None,
+) -> "Loads | None":
     """The loads of the options; without `--gravity` that of the robot's file, which is noted on standard error."""
     from ..files.actuation import read_loads
     from ..robot.loads import gravity_in_words
 
     if robot.gravity is not None and gravity is None:
         note([f"{gravity_in_words(robot.gravity)}, of the robot file"])
-    return read_loads(tip_force, tip_moment, gravity, robot.gravity)
+    return read_loads(tip_force, tip_moment, gravity, point_load, robot.gravity)
 
 
 def read_data(

@@ -21,6 +21,7 @@ def plan(
     tip_force: options.TipForce = None,
     tip_moment: options.TipMoment = None,
     gravity: options.Gravity = None,
+    point_load: options.PointLoads = None,
     marker: options.Marker = None,
     given: options.Given = None,
     history: options.HistoryOption = None,
@@ -52,7 +53,7 @@ def plan(
     largest = quantity(tension, "force", "--tension")
     if not largest > 0:
         raise InputError(f"--tension {tension}: give a tension above 0 N")
-    setting = read_setting(options.loads_of(read, tip_force, tip_moment, gravity), marker, given)
+    setting = read_setting(options.loads_of(read, tip_force, tip_moment, gravity, point_load), marker, given)
     tables = options.read_data(data, column, holds_averaged=average_holds)
     known = manipulator
     if tables:

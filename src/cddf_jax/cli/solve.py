@@ -29,6 +29,7 @@ def solve(
     tip_force: options.TipForce = None,
     tip_moment: options.TipMoment = None,
     gravity: options.Gravity = None,
+    point_load: options.PointLoads = None,
     kinematics: options.KinematicsOption = None,
     nodes: options.Nodes = 16,
     as_json: options.AsJson = False,
@@ -49,7 +50,7 @@ def solve(
         from ..statics.status import Status
 
     actuation = read_actuation(base_tension, manipulator)
-    loads = options.loads_of(read, tip_force, tip_moment, gravity)
+    loads = options.loads_of(read, tip_force, tip_moment, gravity, point_load)
     directions = read_directions(direction, manipulator)
     with stage("solving"), within(robot, ValueError):
         equilibrium = on_host(solve(manipulator, actuation, loads, direction=directions, nodes=nodes, throw=False))

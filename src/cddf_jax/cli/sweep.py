@@ -122,6 +122,7 @@ def sweep(
     tip_force: options.TipForce = None,
     tip_moment: options.TipMoment = None,
     gravity: options.Gravity = None,
+    point_load: options.PointLoads = None,
     kinematics: options.KinematicsOption = None,
     nodes: options.Nodes = 16,
     output: Output = ["tip_tension,tip_position,tip_angle"],  # noqa: B006  # it is only read
@@ -163,7 +164,7 @@ def sweep(
         samples,
         seed,
         base_tension or [],
-        loads=options.loads_of(read, tip_force, tip_moment, gravity),
+        loads=options.loads_of(read, tip_force, tip_moment, gravity, point_load),
         history=history_axis or history,
         short_steps=short_steps,
         direction=read_directions(direction, read.manipulator),

@@ -52,6 +52,7 @@ def trace(
     tip_force: options.TipForce = None,
     tip_moment: options.TipMoment = None,
     gravity: options.Gravity = None,
+    point_load: options.PointLoads = None,
     short_steps: options.ShortSteps = 4,
     kinematics: options.KinematicsOption = None,
     nodes: options.Nodes = 16,
@@ -69,7 +70,7 @@ def trace(
         from ..reports.trace_report import trace_report, traced
         from ..units import series
 
-    loads, count = options.loads_of(read, tip_force, tip_moment, gravity), manipulator.num_tendons
+    loads, count = options.loads_of(read, tip_force, tip_moment, gravity, point_load), manipulator.num_tendons
     paths, driven = read_paths(path, noise, count, column)
     largest = None
     if before is not None:

@@ -12,7 +12,7 @@ from jaxtyping import ArrayLike
 from ..errors import InputError, within
 from ..quantities import check_range_in_space
 from ..robot.manipulator import Manipulator
-from ..robot.validation import check_weight
+from ..robot.validation import check_loads
 from ..statics.arguments import check_targets, split_actuation
 from ..statics.equilibrium import Equilibrium
 from ..statics.status import words_of
@@ -259,7 +259,7 @@ def _check(
                 raise InputError(f"design: {name!r} is free, and {case.name or 'the load case'} sets it; leave one out")
         with within(f"design: {case.name or 'the load case'}", ValueError):
             check_targets(body, split_actuation(body, case.base_tension)[1])
-        check_weight(case.body(body), case.loads)
+        check_loads(case.body(body), case.loads)
 
 
 def _demand_start(problem: DesignProblem, found: DesignEvaluation, limits: Sequence[Limit]) -> None:

@@ -175,7 +175,7 @@ def _case(table: Table, body: Manipulator, gravity: tuple[float, ...] | None) ->
         case_numbers(body).number(name)
     return LoadCase(
         read_actuation([str(text) for text in texts], body, called=str),
-        read_loads(**loads, mounted=gravity, called=str),
+        read_loads(**loads, points=_texts(table, "point_loads"), mounted=gravity, called=str),
         read_directions(direction if isinstance(direction, list | None) else [direction], body, called=str),
         {name: quantity(value, dimension_of_number(name), name) for name, value in numbers.items()},
         quantity(table.get("weight", 1.0), "dimensionless", "weight"),
@@ -198,7 +198,7 @@ def _uncertain(
         columns = {name: str(meant) for name, meant in _entries(table, "columns").items()} if "columns" in table else {}
     files = table["data"] if isinstance(table["data"], list) else [table["data"]]
     tables = read_tables([folder / str(file) for file in files], columns)
-    found = fit(body, tables, setting=BenchSetting(read_loads(None, None, None, gravity)))
+    found = fit(body, tables, setting=BenchSetting(read_loads(None, None, None, mounted=gravity)))
     every = tuple(each for case in cases for each in uncertain_cases(case, found, num, seed))
     return every, tuple(line for table in tables for line in table.read_as)
 
@@ -248,6 +248,12 @@ def _pair(value: object, dimension: Dimension, key: str) -> tuple[float, float]:
         raise InputError(f"{key} must be two values, as in {key} = {EXAMPLES[key]}, got {value!r}")
     low, high = (quantity(item, dimension, key) for item in value)
     return low, high
+
+
+def _texts(table: Table, key: str) -> list[str]:
+    """One text or a list of them; none where the key is missing."""
+    given = table.get(key, [])
+    return [str(text) for text in given] if isinstance(given, list) else [str(given)]
 
 
 def _text(table: Table, key: str) -> str:

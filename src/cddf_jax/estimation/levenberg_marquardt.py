@@ -110,7 +110,7 @@ class Minimum(NamedTuple):
         early where the rise is clearly above `closing_rise`.
         """
         first = self.outcome.z if z is None else z
-        moved = minimise(self.problem, first, held, self.outcome.cost + closing_rise)
+        moved = minimise(self.problem, first, held, float(self.outcome.cost) + closing_rise)
         return moved, float(moved.cost - self.outcome.cost)
 
 
@@ -335,7 +335,7 @@ def _descend(
     solved = (solution.result == optx.RESULTS.successful) | (paused & solution.state.terminate)  # with its last step
     reach = jnp.stack([search.size, search.shrink])
     outcome = *_at(problem, solution.value, held, found), search.num_steps, solved
-    return *outcome, _Known(*found, jnp.asarray(True)), reach, solved | ~paused
+    return *outcome, _Known(found[0], found[1], jnp.asarray(True)), reach, solved | ~paused
 
 
 @eqx.filter_jit

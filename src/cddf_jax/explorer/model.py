@@ -24,7 +24,7 @@ from ..robot.cross_section import Kinematics
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..robot.reshape import tapered
-from ..robot.validation import check_weight
+from ..robot.validation import check_loads
 from ..statics.equilibrium import Equilibrium, ended_as
 from ..statics.equilibrium_text import result_in_words, wall_remarks
 from ..statics.named_numbers import Case, of_tendon
@@ -113,7 +113,7 @@ class Exploration:
 
     def __post_init__(self):
         with within("gravity of the robot file"):
-            check_weight(self.manipulator, self.setting.loads)
+            check_loads(self.manipulator, self.setting.loads)
             if len(self.gravity or ()) > self.manipulator.components:
                 raise InputError(
                     "it has three components, but the body is in the plane; give two, or angles of tendons"

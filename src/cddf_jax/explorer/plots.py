@@ -12,11 +12,11 @@ from jaxtyping import ArrayLike
 from ..figures.geometry import (
     Body,
     bent_body,
+    force_lines,
     lines_along,
+    moment_lines,
     straight_body,
     tendon_paths,
-    tip_force_line,
-    tip_moment_line,
 )
 from ..figures.looks import BLACK, BLUE, CURVES, GREEN, GREY, PALE, PURPLE, VERMILION
 from ..measurements.readings import kind_of, of_tendons, tendon_number
@@ -144,7 +144,9 @@ class BodyPlot:
             self.sources[name].data = _arrow_data(*arrows)
         self.figure.title.text = f"longest arrow {greatest:.4g} N/m"
         loads = Loads() if picture.case.loads is None else picture.case.loads
-        force, turn = tip_force_line(body, loads, length), tip_moment_line(body, loads, length)
+        none = np.zeros((0, 2))
+        force, *_ = *force_lines(body, loads, length), none  # the sliders load the tip only
+        turn, *_ = *moment_lines(body, loads, length), none
         self.sources["force"].data = _arrow_data(force[:1], force[-1:])
         self.sources["moment"].data = _xy(turn)
         self.sources["turn"].data = _arrow_data(turn[-2:-1], turn[-1:])

@@ -244,7 +244,7 @@ def tendon_rows(what: Drawn) -> list[Row]:
 
 def load_rows(what: Drawn) -> list[Row]:
     """The lines of the arrows of force and moment; the heads point along the last piece."""
-    return [Row("load", line, PURPLE, width=3.0) for line in (what.force_arrow, what.moment_arrow) if len(line)]
+    return [Row("load", line, PURPLE, width=3.0) for line in (*what.force_arrows, *what.moment_arrows)]
 
 
 def floor_rows(length: float, square: float) -> list[Row]:

@@ -129,11 +129,11 @@ def _number_tendons(axes: Axes, heights: np.ndarray, length: float) -> None:
 
 
 def _draw_loads(axes: Axes, body: Body, loads: Loads, length: float) -> None:
-    """Arrows of tip force and tip moment, with a legend."""
-    lines = geometry.tip_force_line(body, loads, length), geometry.tip_moment_line(body, loads, length)
+    """Arrows of forces and moments, with a legend."""
+    lines = geometry.force_lines(body, loads, length), geometry.moment_lines(body, loads, length)
     look = {"arrowstyle": "-|>", "mutation_scale": 8, "linewidth": 1.2, "shrinkA": 0, "shrinkB": 0, "zorder": 6}
-    for line, color in zip(lines, (looks.VERMILION, looks.PURPLE), strict=True):
-        if len(line):
+    for own, color in zip(lines, (looks.VERMILION, looks.PURPLE), strict=True):
+        for line in own:
             axes.update_datalim(line)
             axes.add_patch(FancyArrowPatch(path=Path(line), color=color, fill=True, **look))
     draw.legend_of_loads(axes, loads, loc="best")

@@ -90,32 +90,35 @@ class Drawn(NamedTuple):
         return self.plate * _circle(61)
 
     @property
-    def force_arrow(self) -> np.ndarray:
-        """Start and end of an arrow along the tip force, (2, 3), a fifth of the length; no points without force."""
-        force, tip = np.asarray(self.loads.tip_force), self.body.midline[-1]
-        if not np.any(force):
-            return np.zeros((0, 3))
-        reach = 0.2 * self.length * force / np.linalg.norm(force)
-        ahead = reach @ self.body.frame[-1, :, 0] > -1e-9 * self.length
-        return np.stack([tip, tip + reach] if ahead else [tip - reach, tip])
+    def force_arrows(self) -> list[np.ndarray]:
+        """Start and end of an arrow along each force, (2, 3), a fifth of the length: at the tip and at points."""
+        arrows = []
+        for i, force, _ in _acting(self.loads, self.straight.midline[:, 0]):
+            if np.any(force):
+                at, reach = self.body.midline[i], 0.2 * self.length * force / np.linalg.norm(force)
+                ahead = reach @ self.body.frame[i, :, 0] > -1e-9 * self.length
+                arrows.append(np.stack([at, at + reach] if ahead else [at - reach, at]))
+        return arrows
 
     @property
-    def moment_arrow(self) -> np.ndarray:
-        """An arc around the tip as its moment turns, (points, 3); no points without moment."""
-        moment = np.asarray(self.loads.tip_moment)
-        if not np.any(moment):
-            return np.zeros((0, 3))
-        about = moment / np.linalg.norm(moment)
-        start = np.cross(about, np.eye(3)[np.argmin(np.abs(about))])
-        start /= np.linalg.norm(start)
-        angles, ring = np.linspace(0.0, 1.5 * np.pi, 61)[:, None], max(1.4 * self.body.outer_radius[-1], 8.0)
-        return self.body.midline[-1] + ring * (np.cos(angles) * start + np.sin(angles) * np.cross(about, start))
+    def moment_arrows(self) -> list[np.ndarray]:
+        """An arc around the body as each moment turns, (points, 3): at the tip and at points."""
+        arcs, angles = [], np.linspace(0.0, 1.5 * np.pi, 61)[:, None]
+        for i, _, moment in _acting(self.loads, self.straight.midline[:, 0]):
+            if np.any(moment):
+                about = moment / np.linalg.norm(moment)
+                start = np.cross(about, np.eye(3)[np.argmin(np.abs(about))])
+                start /= np.linalg.norm(start)
+                ring = max(1.4 * self.body.outer_radius[i], 8.0)
+                around = np.cos(angles) * start + np.sin(angles) * np.cross(about, start)
+                arcs.append(self.body.midline[i] + ring * around)
+        return arcs
 
     @property
     def points(self) -> np.ndarray:
         """All that must be seen, (points, 3)."""
         side = self.plate * np.array([[0.0, y, z] for y in (-1, 1) for z in (-1, 1)])
-        parts = [side, self.body.rings, self.straight.rings, self.tendons, self.force_arrow, self.moment_arrow]
+        parts = [side, self.body.rings, self.straight.rings, self.tendons, *self.force_arrows, *self.moment_arrows]
         points = np.concatenate([part.reshape(-1, 3) for part in parts])
         return points[np.all(np.isfinite(points), axis=1)]
 
@@ -185,26 +188,43 @@ def tendon_paths(manipulator: Manipulator, body: Body, arc_length: ArrayLike) ->
     return np.stack([body.at_distance(d) for d in distance])
 
 
-def tip_force_line(body: Body, loads: Loads, length: float) -> np.ndarray:
-    """The line of an arrow along the tip force, (points, 2), a fifth of a length; no points where there is none.
+def _acting(loads: Loads, arc_length: np.ndarray) -> list[tuple[int, np.ndarray, np.ndarray]]:
+    """Where forces and moments act, as indices of arc lengths, mm: at the tip and at points."""
+    tip = arc_length.size - 1, np.asarray(loads.tip_force), np.asarray(loads.tip_moment)
+    places = [int(np.argmin(np.abs(arc_length - 1e3 * float(point.arc_length)))) for point in loads.points]
+    own = [(np.asarray(point.force), np.asarray(point.moment)) for point in loads.points]
+    return [tip, *((i, *both) for i, both in zip(places, own, strict=True))]
 
-    It starts at the tip, or ends there: it lies ahead of the body.
+
+def _acting_in_plane(body: Body, loads: Loads) -> list[tuple[int, np.ndarray, np.ndarray]]:
+    steps = np.linalg.norm(np.diff(body.midline, axis=0), axis=1)
+    return _acting(loads, np.append(0.0, np.cumsum(steps)))
+
+
+def force_lines(body: Body, loads: Loads, length: float) -> list[np.ndarray]:
+    """The lines of arrows along the forces, (points, 2), a fifth of a length, mm: at the tip and at points.
+
+    Each starts where its force acts, or ends there: it lies ahead of the body.
     """
-    force, ahead = np.asarray(loads.tip_force), np.array([np.cos(body.heading[-1]), np.sin(body.heading[-1])])
-    if not np.any(force):
-        return np.zeros((0, 2))
-    reach = 0.2 * length * force / np.linalg.norm(force)
-    start = body.midline[-1] - (reach if reach @ ahead < -1e-9 else 0.0)
-    return np.linspace(start, start + reach, 25)
+    lines = []
+    for i, force, _ in _acting_in_plane(body, loads):
+        if np.any(force):
+            ahead = np.array([np.cos(body.heading[i]), np.sin(body.heading[i])])
+            reach = 0.2 * length * force / np.linalg.norm(force)
+            start = body.midline[i] - (reach if reach @ ahead < -1e-9 else 0.0)
+            lines.append(np.linspace(start, start + reach, 25))
+    return lines
 
 
-def tip_moment_line(body: Body, loads: Loads, length: float) -> np.ndarray:
-    """The line of an arrow around the tip as its moment turns, (points, 2); no points where there is none."""
-    moment = float(loads.tip_moment)
-    ring = max(1.4 * body.outer_radius[-1], 0.06 * length)
-    angles = body.heading[-1] + np.sign(moment) * np.linspace(-0.5, 0.5, 61) * GREATEST_MOMENT_ARC
-    line = body.midline[-1] + ring * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    return line if moment else line[:0]
+def moment_lines(body: Body, loads: Loads, length: float) -> list[np.ndarray]:
+    """The lines of arrows around the body as the moments turn, (points, 2), mm: at the tip and at points."""
+    lines = []
+    for i, _, moment in _acting_in_plane(body, loads):
+        if np.any(moment):
+            ring = max(1.4 * body.outer_radius[i], 0.06 * length)
+            angles = body.heading[i] + np.sign(moment) * np.linspace(-0.5, 0.5, 61) * GREATEST_MOMENT_ARC
+            lines.append(body.midline[i] + ring * np.stack([np.cos(angles), np.sin(angles)], axis=-1))
+    return lines
 
 
 def _radii(manipulator: Manipulator, arc_length: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

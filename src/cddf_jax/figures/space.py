@@ -215,11 +215,10 @@ def _dashed(path: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def _draw_loads(axes: Axes3D, what: Drawn) -> None:
-    arrow, arc = what.force_arrow, what.moment_arrow
-    if len(arrow):
+    for arrow in what.force_arrows:
         look = {"color": looks.VERMILION, "linewidth": 1.3, "arrow_length_ratio": 0.25, "zorder": 9}
         axes.quiver(*arrow[0], *(arrow[1] - arrow[0]), **look)
-    if len(arc):
+    for arc in what.moment_arrows:
         axes.plot(*arc.T, color=looks.PURPLE, linewidth=1.3, zorder=9)
         look = {"color": looks.PURPLE, "linewidth": 1.3, "arrow_length_ratio": 2.0, "zorder": 9}
         axes.quiver(*arc[-3], *(arc[-1] - arc[-3]), **look)
@@ -237,8 +236,8 @@ def draw_view(axes: Axes, what: Drawn, norm: Normalize, plane: str) -> None:
     axes.plot(*what.straight.midline[:, flat].T, color=looks.GREY, linewidth=0.6, linestyle=(0, (1, 2)), zorder=1)
     axes.plot(*what.plate_edge[:, flat].T, color=looks.BLACK, linewidth=1.0 if right == 0 else 0.6, zorder=1)
     _draw_tendons(axes, what, norm, np.array(TOWARDS[plane]), flat)
-    for arrow, color in ((what.force_arrow, looks.VERMILION), (what.moment_arrow, looks.PURPLE)):
-        if len(arrow):
+    for arrows, color in ((what.force_arrows, looks.VERMILION), (what.moment_arrows, looks.PURPLE)):
+        for arrow in arrows:
             axes.plot(*arrow[:, flat].T, color=color, linewidth=1.2, zorder=6)
             draw.draw_head(axes, arrow[-2, flat], arrow[-1, flat], color)
     axes.set(xlabel=f"${plane[0]}$ (mm)", ylabel=f"${plane[1]}$ (mm)")

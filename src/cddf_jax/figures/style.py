@@ -150,11 +150,20 @@ def legend_of_loads(where: Axes | Figure, loads: Loads, **look: LookValue) -> No
     def along(vector: np.ndarray) -> MarkerStyle:
         return MarkerStyle(r"$\rightarrow$").rotated(rad=float(np.arctan2(vector[1], vector[0])) if in_plane else 0.0)
 
-    entries = (
+    entries = [
         (force, f"$F$ = {np.linalg.norm(force):.3g} N", along(force), VERMILION),
         (moment, f"$m$ = {np.linalg.norm(moment):.3g} N m", turn, PURPLE),
         (gravity, f"$g$ = {f'{np.linalg.norm(gravity):.3g}' if in_plane else numbers} m/s$^2$", along(gravity), BLACK),
-    )
+    ]
+    for point in loads.points:
+        own, turned, place = (
+            np.asarray(point.force),
+            np.asarray(point.moment),
+            f"at {1e3 * float(point.arc_length):.3g} mm",
+        )
+        curl = r"$\curvearrowright$" if in_plane and turned < 0 else r"$\curvearrowleft$"
+        entries.append((own, f"{np.linalg.norm(own):.3g} N {place}", along(own), VERMILION))
+        entries.append((turned, f"{np.linalg.norm(turned):.3g} N m {place}", curl, PURPLE))
     handles = [
         Line2D([], [], marker=marker, color=color, linestyle="none", markersize=9, label=label)
         for load, label, marker, color in entries

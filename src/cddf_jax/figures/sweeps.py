@@ -305,9 +305,12 @@ def name_in_words(name: str) -> str:
     """
     if name in QUANTITIES:
         return QUANTITIES[name].label
-    parts = name.removeprefix("loads.").replace("tendons.", "tendon.").replace(".value", ".target").split(".")
-    places = COMPONENTS if parts[0] in ("tip_force", "tip_moment", "gravity") else range(1, 100)
-    words = " ".join(str(places[int(part)]) if part.isdigit() else part for part in parts).replace("_", " ")
+    name = name.removeprefix("loads.").replace("tendons.", "tendon.").replace("points.", "load.")
+    parts = name.replace(".value", ".target").split(".")
+    vectors = ("tip_force", "tip_moment", "gravity", "force", "moment")
+    places = [COMPONENTS if before in vectors else range(1, 100) for before in ("", *parts)]
+    parts = [str(own[int(part)]) if part.isdigit() else part for part, own in zip(parts, places, strict=False)]
+    words = " ".join(parts).replace("_", " ")
     return words[:1].upper() + words[1:]
 
 

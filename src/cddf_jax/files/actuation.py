@@ -6,7 +6,7 @@ from typing import TypeVar, cast
 
 from ..errors import InputError
 from ..quantities import dimension_of
-from ..robot.loads import Loads
+from ..robot.loads import Loads, PointLoad
 from ..robot.manipulator import Manipulator
 from ..statics.targets import (
     CurvatureAt,
@@ -131,24 +131,38 @@ def read_loads(
     tip_force: str | None,
     tip_moment: str | None,
     gravity: str | None,
+    points: Sequence[str] | None = None,
     mounted: tuple[float, ...] | None = None,
     *,
     called: Callable[[str], str] = as_option,
 ) -> Loads | None:
     """Dead loads out of texts such as "0 N, -5 N", "0.1 N m" and "0, -9.81 m/s^2"; None where there are none.
 
-    In space each has three components, "0, -5, 1 N", the moment as well. `mounted` is the gravity of the robot file,
-    m/s^2: it acts where no text gives gravity, and a text of zeros switches it off. `called` is as in `read_actuation`.
+    In space each has three components, "0, -5, 1 N", the moment as well. `points` are loads at other places than the
+    tip, such as "60 mm: 0, -1 N and 0.1 N m". `mounted` is the gravity of the robot file, m/s^2: it acts where no text
+    gives gravity, and a text of zeros switches it off. `called` is as in `read_actuation`.
     """
     own = mounted if gravity is None else vector(gravity, "acceleration", called("gravity"))
     if mounted is not None and not any(own or ()):
         own = None
-    if tip_force is None and tip_moment is None and own is None:
+    if tip_force is None and tip_moment is None and own is None and not points:
         return None
     return Loads(
         (0.0, 0.0) if tip_force is None else vector(tip_force, "force", called("tip_force")),
         0.0 if tip_moment is None else _moment(tip_moment, called("tip_moment")),
         (0.0, 0.0) if own is None else own,
+        [_point_load(text, called("point_load")) for text in points or ()],
+    )
+
+
+def _point_load(text: str, name: str) -> PointLoad:
+    """A place, a force, and after "and" a moment."""
+    place, colon, loads = text.partition(":")
+    force, _, moment = (part.strip() for part in loads.partition(" and "))
+    if not colon or not force:
+        raise InputError(f"{name} needs a place and a force, got {text!r}; write for example '60 mm: 0, -1 N'")
+    return PointLoad(
+        quantity(place.strip(), "length", name), vector(force, "force", name), _moment(moment, name) if moment else 0.0
     )
 
 

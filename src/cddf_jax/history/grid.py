@@ -15,10 +15,10 @@ from jaxtyping import Array, Float
 
 from ..mechanics.friction import PerTendon
 from ..mechanics.geometry import Geometry
-from ..mechanics.problem import geometry_of, guarded_section, load_rate
+from ..mechanics.problem import breakpoints_under, geometry_of, guarded_section, load_rate
 from ..numerics.elements import smooth_pieces
 from ..robot.cross_section import AnySection, where_present
-from ..robot.loads import Loads, force_at_points
+from ..robot.loads import Loads, loads_at_points
 from ..robot.manipulator import Manipulator
 
 Number = Float[Array, ""]
@@ -47,6 +47,7 @@ class Given(NamedTuple):
     base_tension: PerTendon  # N; not used for a driven tendon
     goal: PerTendon  # of a driven tendon: what is given in place of its tension, m, rad or N
     force: Float[Array, "K components"] | None  # N of the loads beyond the middle of each element, N; None without
+    moment: Float[Array, "K *components"] | None  # of the loads at points, by the element across which they act, N m
     tip_moment: Array | None  # N m
 
 
@@ -103,20 +104,23 @@ class Grid(eqx.Module):
         """As `at`, for all K nodes."""
         return jax.vmap(self.at)(jax.tree.map(lambda x: x[:-1], nodes), self.sections, force)
 
-    def elements(self, force: Array | None) -> "Element":
+    def elements(self, given: Given) -> "Element":
         pairs = jax.tree.map(lambda x: jnp.stack([x, jnp.concatenate([x[1:], x[-1:]])], axis=1), self.sections)
-        return Element(pairs, self.weights, self.widths, force)
+        return Element(pairs, self.weights, self.widths, given.force, given.moment)
 
 
-def cut_into_elements(manipulator: Manipulator, count: int, merged: Number | float = 0.0) -> Grid:
+def cut_into_elements(
+    manipulator: Manipulator, count: int, loads: Loads | None = None, merged: Number | float = 0.0
+) -> Grid:
     """`count` elements in each smooth piece of the body, and one between two pieces.
 
     Args:
         manipulator: the body.
         count: number of elements; static.
+        loads: pieces end where they act at points.
         merged: 1 to give every second element no length, so that the others are twice as long; else 0.
     """
-    ends = smooth_pieces(jnp.asarray(manipulator.length), manipulator.breakpoints)
+    ends = smooth_pieces(jnp.asarray(manipulator.length), breakpoints_under(manipulator, loads))
     numbers = jnp.arange(count + 1)
     fractions = (numbers - merged * (numbers % 2)) / count
     starts, lengths = ends[:-1, None], jnp.diff(ends)[:, None]
@@ -141,17 +145,18 @@ def cut_into_elements(manipulator: Manipulator, count: int, merged: Number | flo
     return eqx.tree_at(lambda grid: grid.stretch, grid, jnp.maximum(compliance, stiffest))
 
 
-def forces_on(grid: Grid, loads: Loads) -> Float[Array, "K components"]:
-    """The force N of the dead loads beyond the middle of each element, N."""
+def loads_on(grid: Grid, loads: Loads) -> tuple[Float[Array, "K components"], Float[Array, "K *components"]]:
+    """The force N of the dead loads beyond the middle of each element, N, and the moments across it, N m."""
     body, places = grid.manipulator, grid.places
     rate, tip = load_rate(body, places, loads), jnp.asarray(loads.tip_force)
     gains = grid.widths[:, None] * (rate + jnp.concatenate([rate[1:], rate[-1:]])) / 2
     force = tip + jnp.cumsum(gains[::-1], axis=0)[::-1] - gains / 2
-    if not body.point_masses:
-        return force
-    weight = force_at_points(loads, jnp.stack([jnp.asarray(point.mass) for point in body.point_masses]))
-    points = jnp.stack([jnp.asarray(point.arc_length, places.dtype) for point in body.point_masses])
-    return force + jnp.where((places + grid.widths / 2)[:, None] < points, 1.0, 0.0) @ weight
+    points = loads_at_points(loads, body.point_masses)
+    if points is None:
+        return force, jnp.multiply.outer(0.0 * places, jnp.asarray(loads.tip_moment))
+    outboard = jnp.where((places + grid.widths / 2)[:, None] < points.arc_length.astype(places.dtype), 1.0, 0.0)
+    beyond = outboard @ points.moment
+    return force + outboard @ points.force, jnp.concatenate([beyond[:1], beyond[:-1]]) - beyond
 
 
 class Element(NamedTuple):
@@ -161,6 +166,7 @@ class Element(NamedTuple):
     weight: Number  # of the node before it, m
     width: Number  # m
     force: Array | None  # of the loads beyond its middle, N
+    moment: Array | None  # of the loads at a point, between its ends, N m
 
 
 class Missing(NamedTuple):
@@ -211,7 +217,8 @@ def missing(grid: Grid, element: Element, start: Node, end: Node) -> Missing:
         assert end.heading is not None
         assert start.moment is not None
         assert end.moment is not None
+        assert element.moment is not None
         heading = end.heading - geometry.turned_on(start.heading, element.width * there.strain)
-        moment = end.moment - start.moment - geometry.moment_rate(there.step, element.force)
+        moment = end.moment - start.moment - geometry.moment_rate(there.step, element.force) + element.moment
     slip = start.slip - end.slip - element.weight * there.slip_rate
     return Missing(slip, heading, moment, start.tension - end.tension, limit)

@@ -185,7 +185,7 @@ class Rows(NamedTuple):
 
 
 def _rows_of_all(setting: Setting, nodes: Node, law: _Law) -> Rows:
-    elements = setting.grid.elements(setting.given.force)
+    elements = setting.grid.elements(setting.given)
     rows = jax.vmap(partial(_rows, setting.grid))(elements, law, *_ends_of_elements(nodes))
     return Rows(rows, _driven_gap(setting, nodes))
 
@@ -245,7 +245,7 @@ def _correction(setting: Setting, nodes: Node, law: _Law, missed: Rows) -> Node:
         return _rows(setting.grid, element, law, _node(nodes, known, sought), _node(nodes, known_end, sought_end))
 
     starts, ends = map(jax.vmap(_flat), _ends_of_elements(nodes))
-    elements = setting.grid.elements(setting.given.force)
+    elements = setting.grid.elements(setting.given)
     slopes = jax.vmap(jax.jacfwd(rows, (2, 3, 4, 5)))(elements, law, *starts, *ends)
     change, by_tension = _swept(nodes, slopes, missed.elements, setting.driven)
     if not setting.driven:

@@ -74,9 +74,11 @@ def moved(grid: Grid, driven: tuple[Goal, ...], before: Instant, given: Given) -
     by_loads = jnp.zeros_like(lost)
     if given.force is not None:
         steps = jax.tree.map(jnp.subtract, _along(grid, given, new).step, _along(grid, before.given, old).step)
-        turn = jax.tree.map(lambda a, b: grid.geometry.turn_from(a[-1], b[-1]), old.heading, new.heading)
-        force, moment = jax.tree.map(mean, before.given[2:], given[2:])
-        by_loads = jnp.sum(force * steps) + jnp.sum(moment * turn)
+        assert old.heading is not None
+        assert new.heading is not None
+        turn = jax.vmap(grid.geometry.turn_from)(old.heading, new.heading)
+        force, moment, at_tip = jax.tree.map(mean, before.given[2:], given[2:])
+        by_loads = jnp.sum(force * steps) + jnp.sum(moment * turn[:-1]) + jnp.sum(at_tip * turn[-1])
     pull = mean(old.tension[0], new.tension[0])
     return Instant(
         given,
@@ -89,7 +91,7 @@ def moved(grid: Grid, driven: tuple[Goal, ...], before: Instant, given: Given) -
 
 def _along(grid: Grid, given: Given, nodes: Node) -> Along:
     starts, ends = jax.tree.map(lambda x: x[:-1], nodes), jax.tree.map(lambda x: x[1:], nodes)
-    return jax.vmap(partial(along, grid))(grid.elements(given.force), starts, ends)
+    return jax.vmap(partial(along, grid))(grid.elements(given), starts, ends)
 
 
 # --- results at an instant -----------------------------------------------------------------------
@@ -126,10 +128,11 @@ def under_no_loads(grid: Grid, instant: Instant) -> Instant:
     """The same instant of a body without loads, with headings and with loads that are zero."""
     nodes, geometry = instant.body.nodes, grid.geometry
     heading = shape_of(grid, instant).heading
-    still = jnp.zeros((len(heading) + 1, *geometry.no_moment.shape)) + 0.0 * nodes.tension[0, 0]
-    force = jnp.zeros((len(heading), geometry.components)) + 0.0 * nodes.tension[0, 0]
+    zero = 0.0 * nodes.tension[0, 0]
+    still = jnp.zeros((len(heading) + 1, *geometry.no_moment.shape)) + zero
+    force = jnp.zeros((len(heading), geometry.components)) + zero
     nodes = nodes._replace(heading=jnp.concatenate([heading, heading[-1:]]), moment=still)
-    given = instant.given._replace(force=force, tip_moment=still[0])
+    given = instant.given._replace(force=force, moment=still[1:], tip_moment=still[0])
     return instant._replace(given=given, body=instant.body._replace(nodes=nodes))
 
 

@@ -1,7 +1,7 @@
 """A path as it is given: tensions or displacements of the tendons, and loads, after each step."""
 
 from collections.abc import Sequence
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -89,9 +89,8 @@ def given_path(
     tension, goal, driven = _actuation(manipulator, base_tension)
     if manipulator.in_space and loads is not None:
         loads = loads_in_space(loads) if isinstance(loads, Loads) else [loads_in_space(each) for each in loads]
-    num_axes = {"tip_force": 1, "tip_moment": int(manipulator.in_space), "gravity": 1}  # without an axis of steps
-    along = _loads(loads, tension.shape[0], num_axes)
-    path = Path(tension, goal, along, _resting(loads, along, num_axes))
+    along = _loads(loads, tension.shape[0], manipulator.in_space)
+    path = Path(tension, goal, along, _resting(loads, along))
     if path.loads is None and any(each.quantity == "tip_angle" for each in driven):
         still = Loads().with_components(manipulator.components)  # the headings are found with the loads
         path = path.under(jax.tree.map(lambda x: jnp.asarray(x, tension.dtype), still))
@@ -130,15 +129,21 @@ def _actuation(manipulator: Manipulator, base_tension: Driven) -> tuple[Array, A
     return jnp.where(is_driven, 0.0, given), jnp.where(is_driven, given, 0.0), driven
 
 
-def _resting(loads: Loads | Sequence[Loads] | None, along: Loads | None, num_axes: dict[str, int]) -> Loads | None:
+def _resting(loads: Loads | Sequence[Loads] | None, along: Loads | None) -> Loads | None:
     """The loads that act before the first step, those without an axis of steps; None where there are none."""
     if along is None or not isinstance(loads, Loads):
         return None
-    stays = {name: np.ndim(getattr(loads, name)) == count for name, count in num_axes.items()}
-    if not all(stays.values()) and not any(_acts(getattr(loads, name)) for name, stay in stays.items() if stay):
+    stays = jax.tree.map(lambda own, all_steps: np.ndim(own) < np.ndim(all_steps), loads, along)
+    own = [_acts(load) for load, stay in zip(_vectors(loads), _vectors(stays), strict=True) if stay]
+    if not all(_vectors(stays)) and not any(own):
         return None
-    first = {name: getattr(along, name)[0] for name in stays}
-    return Loads(**{name: first[name] if stay else jnp.zeros_like(first[name]) for name, stay in stays.items()})
+    return jax.tree.map(lambda load, stay: load[0] if stay else jnp.zeros_like(load[0]), along, stays)
+
+
+def _vectors(loads: Loads) -> list[Any]:
+    """Forces, moments and gravity, without the places of point loads."""
+    points = [load for point in loads.points for load in (point.force, point.moment)]
+    return [loads.tip_force, loads.tip_moment, loads.gravity, *points]
 
 
 def _acts(load: Array) -> bool:
@@ -146,7 +151,7 @@ def _acts(load: Array) -> bool:
     return isinstance(load, Tracer) or bool(np.any(np.asarray(load) != 0))
 
 
-def _loads(loads: Loads | Sequence[Loads] | None, num_steps: int, num_axes: dict[str, int]) -> Loads | None:
+def _loads(loads: Loads | Sequence[Loads] | None, num_steps: int, in_space: bool) -> Loads | None:
     """The loads after each step."""
     if loads is None:
         return None
@@ -155,14 +160,18 @@ def _loads(loads: Loads | Sequence[Loads] | None, num_steps: int, num_axes: dict
             raise TypeError(f"trace: loads must be a Loads or a list of them, got {type(loads).__name__}")
         if len(loads) != num_steps:
             raise ValueError(f"trace: there are {num_steps} steps and {len(loads)} loads; give one for each step")
+        if len({len(entry.points) for entry in loads}) > 1:
+            raise ValueError("trace: all loads of a path must have the same points; give those that do not act 0 N")
         return jax.tree.map(lambda *x: jnp.stack([jnp.asarray(value, float) for value in x]), *loads)
-    arrays = {}
-    for name, count in num_axes.items():
-        value = jnp.asarray(getattr(loads, name), float)
+
+    def along(path: tuple, own: ArrayLike) -> Array:
+        name, value = jax.tree_util.keystr(path, simple=True, separator="."), jnp.asarray(own, float)
+        count = {"arc_length": 0, "tip_moment": int(in_space), "moment": int(in_space)}.get(name.split(".")[-1], 1)
         shape = value.shape[value.ndim - count :]
-        if value.ndim > count + 1 or (value.ndim == count + 1 and value.shape[0] != num_steps):
-            raise ValueError(
-                f"trace: loads.{name} must have the shape {shape} or {(num_steps, *shape)}, got {value.shape}"
-            )
-        arrays[name] = jnp.broadcast_to(value, (num_steps, *shape))
-    return Loads(**arrays)
+        most = count if name.endswith("arc_length") else count + 1  # a load does not move along the body
+        if value.ndim > most or (value.ndim == count + 1 and value.shape[0] != num_steps):
+            wanted = f"{shape} or {(num_steps, *shape)}" if most > count else "()"
+            raise ValueError(f"trace: loads.{name} must have the shape {wanted}, got {value.shape}")
+        return jnp.broadcast_to(value, (num_steps, *shape))
+
+    return jax.tree_util.tree_map_with_path(along, loads)

@@ -64,7 +64,7 @@ class CongruentStates(States):
 
     @property
     def arc_length(self) -> Float[Array, " points"]:
-        cut = elements_of(self.manipulator, self.nodes, loaded=False)
+        cut = elements_of(self.manipulator, self.nodes, None)
         return jnp.concatenate([cut.edges[:1], cut.nodes.ravel(), cut.edges[-1:]])
 
     def fields(self, arc_length: Float[Array, " points"]) -> AnyFields:

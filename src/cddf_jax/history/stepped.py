@@ -22,7 +22,7 @@ from ..robot.manipulator import Manipulator
 from ..statics.arguments import harmless, is_physical
 from ..statics.equilibrium import nan_unless
 from ..statics.status import Status, first_of
-from .grid import Given, Goal, Grid, cut_into_elements, forces_on
+from .grid import Given, Goal, Grid, cut_into_elements, loads_on
 from .history import Energies, History, States
 from .increment import tendons_of
 from .instants import (
@@ -75,7 +75,7 @@ class SteppedStates(States):
 
     @property
     def grid(self) -> Grid:
-        return cut_into_elements(self.manipulator, self.num_elements)
+        return cut_into_elements(self.manipulator, self.num_elements, self.loads)
 
     @property
     def instants(self) -> Instant:
@@ -137,7 +137,7 @@ def _followed(
         rough: how the pass differs from the fine one.
     """
     zero = zero_as(manipulator, path, rough)  # under shard_map all numbers vary over the devices, or none
-    grid = varying_as(cut_into_elements(manipulator, kind.num_elements, rough.elements), zero)
+    grid = varying_as(cut_into_elements(manipulator, kind.num_elements, _last(path.loads), rough.elements), zero)
     path = path.behind(jnp.zeros_like(path.tension[0])) if start is None else path
     given = varying_as(_given(grid, path), zero)
     if start is None:
@@ -189,9 +189,9 @@ def _followed(
 
 def _given(grid: Grid, path: Path) -> Given:
     if path.loads is None:
-        return Given(path.tension, path.goal, None, None)
-    forces = jax.vmap(partial(forces_on, grid))(path.loads)
-    return Given(path.tension, path.goal, forces, jnp.asarray(path.loads.tip_moment))
+        return Given(path.tension, path.goal, None, None, None)
+    along = jax.vmap(partial(loads_on, grid))(path.loads)
+    return Given(path.tension, path.goal, *along, jnp.asarray(path.loads.tip_moment))
 
 
 # --- the history of a path ------------------------------------------------------------------------
@@ -217,13 +217,13 @@ def stepped_history(manipulator: Manipulator, path: Path, start: SteppedStates |
         passes, tips, fronts, crossing = jax.lax.map(lambda rough: follow(None, rough), rough)
     else:
         passes, tips, fronts, crossing = jax.lax.map(lambda given: follow(*given), (last, rough))
-    grid = cut_into_elements(manipulator, kind.num_elements)
+    grid = cut_into_elements(manipulator, kind.num_elements, _last(path.loads))
     instants, tip = jax.tree.map(lambda x: x[0], (passes, tips))
     others = jax.tree.map(lambda x: x[1:], tips)
     apart = jax.vmap(jax.vmap(partial(difference, grid)), (None, 0))(tip, others)
     error = LEAST_ERROR + SAFETY * jnp.sum(apart, axis=0) + jax.vmap(partial(pushed, grid))(instants, tip)
     good = physical & jnp.all(passes.body.converged, axis=0)
-    states = SteppedStates(manipulator, passes, _last(grid, path), kind.num_elements)
+    states = SteppedStates(manipulator, passes, _last(path.loads) or _no_loads(grid), kind.num_elements)
     pulled_in, pull = jax.vmap(grid.pulled_in)(instants.body.nodes), instants.given.base_tension
     pull, pulled_in, tip, error, front = jax.vmap(nan_unless)(good, (pull, pulled_in, tip, error, fronts[0]))
     driven = tendons_of(kind.driven)
@@ -309,9 +309,13 @@ def _usable(path: Path) -> Bool[Array, " steps"]:
     return finite & jnp.all(path.tension >= 0, axis=1)
 
 
-def _last(grid: Grid, path: Path) -> Loads:
-    force, moment = jnp.zeros(grid.geometry.components), jnp.zeros(grid.geometry.no_moment.shape)
-    return Loads(force, moment, force) if path.loads is None else jax.tree.map(lambda x: x[-1], path.loads)
+def _no_loads(grid: Grid) -> Loads:
+    force = jnp.zeros(grid.geometry.components)
+    return Loads(force, jnp.zeros(grid.geometry.no_moment.shape), force)
+
+
+def _last(loads: Loads | None) -> Loads | None:
+    return jax.tree.map(lambda x: x[-1], loads)
 
 
 def _first(loads: Loads | None) -> Loads | None:

@@ -16,7 +16,7 @@ from ..numerics.given_numbers import check_numbers
 from ..quantities import check_range_in_space
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator, in_space
-from ..robot.validation import check_weight
+from ..robot.validation import check_loads
 from ..statics.arguments import check_nodes, refuse_batch
 from ..statics.equilibrium import nan_unless
 from ..statics.response import tip_compliance
@@ -183,7 +183,7 @@ def _in_increments(
         path = path.behind(earlier)
     if loads is None and start is not None and isinstance(start._states, SteppedStates):
         path = path.under(start._states.loads)  # the last loads stay
-    check_weight(manipulator, path.loads)
+    check_loads(manipulator, path.loads)
     if path.tension.dtype != jnp.float64:
         raise ValueError(
             "trace: several tendons or loads need 64-bit numbers; jax.config.update('jax_enable_x64', True) first"
@@ -311,8 +311,7 @@ def _(history: History, *, push: ArrayLike | Sequence[float] | None = None, shor
         history = stepped_history(states.manipulator, path, None, kind)
         states = history._states
     assert isinstance(states, SteppedStates)
-    force = states.loads.tip_force + push
-    pushed = Loads(tip_force=force, tip_moment=states.loads.tip_moment, gravity=states.loads.gravity)
+    pushed = eqx.tree_at(lambda loads: loads.tip_force, states.loads, states.loads.tip_force + push)
     tension = history.base_tension[-1:].reshape(1, -1)
     path = Path(tension, jnp.zeros_like(tension), jax.tree.map(lambda x: x[None], pushed))
     after = stepped_history(states.manipulator, path, states, Following((), states.num_elements, short_steps))

@@ -28,7 +28,7 @@ from ..progress import stage
 from ..quantities import TAKE_THE_PLANE
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator, in_space
-from ..robot.validation import check_weight
+from ..robot.validation import check_loads
 from ..statics.equilibrium import Equilibrium
 from ..statics.solve import solve
 from ..units import shown
@@ -378,7 +378,7 @@ def experiment_of(
 
 def _check_body(table: Measurements, bench: Bench, manipulator: Manipulator, *, zero_is_free: bool) -> None:
     """Refuse a body without weight under gravity, and columns or loads that do not fit the plane or space."""
-    check_weight(manipulator, bench.setting.loads)
+    check_loads(manipulator, bench.setting.loads)
     if bench.in_space(manipulator):
         with within("loads of three components", ValueError):
             manipulator.with_angles()

@@ -26,6 +26,7 @@ from . import space
 from .friction import PerTendon, Pull, is_proportional, ratio_beyond, ratio_factor, spent_rate
 from .kinks import Tensions, tensions_along, with_smooth_ratios
 from .problem import (
+    Drops,
     Joints,
     Nodal,
     Number,
@@ -48,6 +49,7 @@ class Part(NamedTuple):
     joint: Joints | None  # at its start
     force_at_start: Any  # N, newtons; None in space without loads
     force: Any  # likewise at the nodes
+    drops: Drops | None  # of force and moment, at its start
     guess: Nodal  # the unknowns of the iteration before
     strain: Array | None  # the elastic strain there, approximately; None where it has a closed form
 
@@ -68,7 +70,7 @@ def march(
     """
     outboard = problem.outboard
     forces = (outboard.starts, outboard.nodes) if _has_headings(problem) else (None, None)
-    parts = Part(problem.elements.width, problem.nodes, problem.joints, *forces, guess, strain)
+    parts = Part(problem.elements.width, problem.nodes, problem.joints, *forces, outboard.drops, guess, strain)
 
     def element(arriving: State, part: Part) -> tuple[State, tuple[State, State, State, Array]]:
         start = _across_joint(problem, arriving, part)
@@ -193,25 +195,31 @@ def _moments(problem: Problem, guess: Nodal) -> Float[Array, "p *components"]:
 
 def _across_joint(problem: Problem, arriving: State, part: Part) -> State:
     """The state beyond the start of an element: r grows by the finite angle by which a tendon turns there."""
+    beyond = arriving if part.drops is None else arriving._replace(moment=arriving.moment - part.drops.moment)
     if part.joint is None:
-        return arriving
-    turn, ratio = turn_at_joint(problem, part.joint, arriving._replace(force=part.force_at_start))
+        return beyond
+    inner = part.force_at_start if part.drops is None else part.force_at_start + part.drops.force
+    sides = arriving._replace(force=inner), beyond._replace(force=part.force_at_start)
+    turn, ratio = turn_at_joint(problem, part.joint, *sides)
     wrap = None if arriving.wrap_angle is None else arriving.wrap_angle + turn
-    return arriving._replace(pull=arriving.pull._replace(ratio=ratio), wrap_angle=wrap)
+    return beyond._replace(pull=arriving.pull._replace(ratio=ratio), wrap_angle=wrap)
 
 
-def turn_at_joint(problem: Problem, joint: Joints, arriving: State) -> tuple[PerTendon, PerTendon]:
-    """The finite angle by which a tendon turns where two pieces meet (exact kinematics), and r beyond it."""
+def turn_at_joint(problem: Problem, joint: Joints, arriving: State, beyond: State) -> tuple[PerTendon, PerTendon]:
+    """The finite angle by which a tendon turns where two pieces meet (exact kinematics), and r beyond it.
+
+    Force and moment of the loads are given on either side.
+    """
     geometry, ratio = problem.geometry, arriving.ratio
 
-    def pointing(section: AnySection, ratio: PerTendon) -> Array:
-        state = arriving._replace(pull=arriving.pull._replace(ratio=ratio))
+    def pointing(section: AnySection, side: State, ratio: PerTendon) -> Array:
+        state = side._replace(pull=side.pull._replace(ratio=ratio))
         return geometry.pointing(section, strain_of(section, problem.base_tension, state))
 
-    before = pointing(joint.before, ratio)
+    before = pointing(joint.before, arriving, ratio)
 
     def improve(_, guess):
-        turn = where_present(joint.after, geometry.turn_between(before, pointing(joint.after, guess[1])))
+        turn = where_present(joint.after, geometry.turn_between(before, pointing(joint.after, beyond, guess[1])))
         return turn, ratio_beyond(problem.direction, joint.before, turn, ratio)
 
     return jax.lax.fori_loop(0, tol.JOINT_STEPS, improve, (jnp.zeros_like(ratio), ratio + zero_as(before)))

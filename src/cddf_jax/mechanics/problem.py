@@ -18,7 +18,7 @@ from ..numerics.arrays import zero_as
 from ..numerics.elements import LARGEST_ORDER, Elements, elements_between, smooth_pieces
 from ..numerics.fixed_point import without_derivative
 from ..robot.cross_section import AnySection, SpatialSection, where_present
-from ..robot.loads import Loads, force_at_points, force_per_length
+from ..robot.loads import AtPoints, Loads, force_per_length, loads_at_points
 from ..robot.manipulator import Manipulator
 from .friction import PerTendon, Pull, is_proportional, spent_rate, unspent
 from .geometry import PLANE, SPACE, Geometry
@@ -38,21 +38,28 @@ class Joints(NamedTuple):
 class Outboard(NamedTuple):
     """The force N of all dead loads outboard of a cross-section, in newtons, and the moment on the tip.
 
-    That is the force on the tip, the weight per length integrated from there to the tip, and the point masses beyond.
+    That is the force on the tip, the weight per length integrated from there to the tip, and the loads at points
+    beyond.
     """
 
     starts: Float[Array, "P components"]
     nodes: Float[Array, "P p components"]
     tip: Float[Array, " components"]
     tip_moment: Moment  # m, N m, on the tip
-    # by how much N falls at the start of an element; None without point masses
-    drops: Float[Array, "P components"] | None = None
+    drops: "Drops | None" = None  # None without loads at points
 
     @property
     def ends(self) -> Float[Array, "P components"]:
         """N just before the end of each element."""
-        following = self.starts[1:] if self.drops is None else self.starts[1:] + self.drops[1:]
+        following = self.starts[1:] if self.drops is None else self.starts[1:] + self.drops.force[1:]
         return jnp.concatenate([following, self.tip[None]])
+
+
+class Drops(NamedTuple):
+    """By how much N and M_ext fall at the start of an element: the loads at points that act there."""
+
+    force: Float[Array, "P components"]  # N
+    moment: Float[Array, "P *components"]  # N m
 
 
 class Problem(eqx.Module):
@@ -199,13 +206,14 @@ def lay_out(
     """
     geometry = geometry_of(manipulator)
     if cut is None:
-        cut = elements_of(manipulator, nodes, loads is not None, rough)
+        cut = elements_of(manipulator, nodes, loads, rough)
     nudge = edge_nudge(cut)
     section = jax.vmap(lambda s: guarded_section(manipulator, s))
     along = section(jnp.concatenate([nudge[None], cut.nodes.ravel(), cut.edges[-1:] - nudge]))
     starts = cut.edges[:-1]
     inside = jnp.minimum(starts + nudge, cut.edges[-1] - nudge)  # a tendon that ends at the tip causes no turn there
-    turns = manipulator.breakpoints.shape[0] > 0 and geometry.may_turn_at_joints(manipulator, loads is not None)
+    joints = breakpoints_under(manipulator, loads).shape[0] > 0
+    turns = joints and geometry.may_turn_at_joints(manipulator, loads is not None)
     return Problem(
         manipulator,
         base_tension,
@@ -222,15 +230,21 @@ def lay_out(
     )
 
 
-def elements_of(manipulator: Manipulator, nodes: int, loaded: bool, rough: bool = False) -> Elements:
-    """Elements that end where the body or a tendon is not smooth.
+def breakpoints_under(manipulator: Manipulator, loads: Loads | None) -> Float[Array, " n"]:
+    """Arc lengths (m), unsorted, at which the body or a tendon is not smooth, or a load acts."""
+    places = [] if loads is None else [jnp.asarray(point.arc_length)[None] for point in loads.points]
+    return jnp.concatenate([manipulator.breakpoints, *places])
+
+
+def elements_of(manipulator: Manipulator, nodes: int, loads: Loads | None, rough: bool = False) -> Elements:
+    """Elements that end where the body or a tendon is not smooth, or a load acts.
 
     A smooth piece whose tendons always turn to one side is one element. Otherwise it has several with fewer nodes each,
     so that a kink disturbs one of them only. For a rough problem each piece is one element.
     """
-    ends = smooth_pieces(jnp.asarray(manipulator.length), manipulator.breakpoints)
+    ends = smooth_pieces(jnp.asarray(manipulator.length), breakpoints_under(manipulator, loads))
     geometry = geometry_of(manipulator)
-    kinks = geometry.reverses(manipulator, loaded) or manipulator.tendon_drag is not None
+    kinks = geometry.reverses(manipulator, loads is not None) or manipulator.tendon_drag is not None
     if rough:
         return elements_between(ends, min(nodes, LARGEST_ORDER))
     if not kinks:
@@ -248,22 +262,22 @@ def _outboard(manipulator: Manipulator, cut: Elements, loads: Loads | None) -> O
     force = jnp.asarray(loads.tip_force)
     beyond = force + edges[-1]
     along = Outboard(beyond - edges[:-1], beyond - nodes, force, jnp.asarray(loads.tip_moment))
-    return _with_point_masses(along, manipulator, cut, loads) if manipulator.point_masses else along
+    points = loads_at_points(loads, manipulator.point_masses)
+    return along if points is None else _with_points(along, cut, points)
 
 
-def _with_point_masses(along: Outboard, manipulator: Manipulator, cut: Elements, loads: Loads) -> Outboard:
-    """The same with the weights of the point masses, each of which lies where an element starts.
+def _with_points(along: Outboard, cut: Elements, points: AtPoints) -> Outboard:
+    """The same with the loads at points, each of which lies where an element starts.
 
     At the tip itself N is that just before it.
     """
-    weight = force_at_points(loads, jnp.stack([jnp.asarray(point.mass) for point in manipulator.point_masses]))
-    places = jnp.stack([jnp.asarray(point.arc_length, cut.edges.dtype) for point in manipulator.point_masses])
+    places = points.arc_length.astype(cut.edges.dtype)
     starts, ends, tip = cut.edges[:-1, None], cut.edges[1:, None], cut.edges[-1]
     last = jnp.arange(starts.size)[:, None] == starts.size - 1
-    at_start = (starts == places) & ((ends > places) | last)
-    beyond = jnp.where(starts < places, 1.0, 0.0) @ weight
-    at_tip = jnp.where(places == tip, 1.0, 0.0) @ weight
-    drops = jnp.where(at_start, 1.0, 0.0) @ weight
+    at_start = jnp.where((starts == places) & ((ends > places) | last), 1.0, 0.0)
+    beyond = jnp.where(starts < places, 1.0, 0.0) @ points.force
+    at_tip = jnp.where(places == tip, 1.0, 0.0) @ points.force
+    drops = Drops(at_start @ points.force, at_start @ points.moment)
     return Outboard(along.starts + beyond, along.nodes + beyond[:, None], along.tip + at_tip, along.tip_moment, drops)
 
 

@@ -89,6 +89,10 @@ def _loads_in_words(loads: Loads, equilibrium: Equilibrium) -> list[str]:
     return [
         f"loads: tip force {force} N, tip moment {_moment(loads.tip_moment)}, gravity {gravity} m/s^2; "
         f"put on in {steps} step{'s' if steps > 1 else ''}",
+        *(
+            f"load at {shown(point.arc_length, 'length')}: {_numbers(point.force)} N and {_moment(point.moment)}"
+            for point in loads.points
+        ),
         f"moment of the loads at the base: {_moment(equilibrium.base_moment)}",
     ]
 

@@ -1,5 +1,8 @@
 """Dead loads on a manipulator: forces and moments that keep their direction in space while the body bends."""
 
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -7,6 +10,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .profiles import Number, as_number
+
+if TYPE_CHECKING:
+    from .manipulator import PointMass
 
 
 def _as_moment(value: object) -> Number:
@@ -19,6 +25,26 @@ def _as_vector(value: object) -> Number:
     return jnp.stack(parts) if len(parts) > 1 and any(isinstance(x, jax.Array) for x in parts) else as_number(value)
 
 
+class PointLoad(eqx.Module):
+    """A dead force and a dead moment at one place of the body.
+
+    Args:
+        arc_length: s, m, from the base; 0 < s <= L.
+        force: (X, Y) or (X, Y, Z), N.
+        moment: N m: a number, positive from X to Y, or in space (X, Y, Z).
+
+    Raises:
+        ValueError: when force has neither two nor three components.
+    """
+
+    arc_length: Number = eqx.field(converter=as_number)
+    force: Float[Number, " components"] = eqx.field(default=(0.0, 0.0), converter=_as_vector)
+    moment: Float[Number, "..."] = eqx.field(default=0.0, converter=_as_moment)
+
+    def __check_init__(self):
+        _check_components("PointLoad: force", self.force)
+
+
 class Loads(eqx.Module):
     """Dead loads in the fixed frame at the base, whose X axis the straight body follows: X-Y in the plane, or X-Y-Z.
 
@@ -27,29 +53,33 @@ class Loads(eqx.Module):
         tip_moment: m, a moment on the tip, N m: a number, positive from X to Y, or in space (X, Y, Z).
         gravity: g, the acceleration of gravity (X, Y) or (X, Y, Z), m/s^2; it acts on density, mass_per_length and
             point masses of the body.
+        points: one or several `PointLoad`, forces and moments at other places than the tip.
 
     If one of them has three components, the body is solved in space; the others may have two.
 
     Raises:
         ValueError: when tip_force or gravity has neither two nor three components.
+        TypeError: when points holds anything else.
     """
 
     tip_force: Float[Number, " components"] = eqx.field(default=(0.0, 0.0), converter=_as_vector)
     tip_moment: Float[Number, "..."] = eqx.field(default=0.0, converter=_as_moment)
     gravity: Float[Number, " components"] = eqx.field(default=(0.0, 0.0), converter=_as_vector)
+    points: tuple[PointLoad, ...] = eqx.field(default=(), converter=tuple)
 
     def __check_init__(self):
         for name in ("tip_force", "gravity"):
-            shape = np.shape(getattr(self, name))
-            if shape[-1:] not in ((2,), (3,)):
-                raise ValueError(f"Loads: {name} must have two or three components (X, Y, Z), got shape {shape}")
+            _check_components(f"Loads: {name}", getattr(self, name))
+        if not all(isinstance(point, PointLoad) for point in self.points):
+            raise TypeError("Loads: points must hold PointLoad, e.g. Loads(points=[PointLoad(0.06, (0.0, -1.0))])")
 
     @property
     def components(self) -> int:
         """How many components they have: three where one of them has three, else two; static."""
-        vectors = [np.shape(self.tip_force), np.shape(self.gravity)]
+        vectors = [np.shape(each) for each in (self.tip_force, self.gravity, *(point.force for point in self.points))]
         along_path = any(len(shape) > 1 for shape in vectors)  # then (3,) are the moments of three steps in the plane
-        turned = 3 if np.shape(self.tip_moment) == (3,) and not along_path else 2
+        moments = [np.shape(self.tip_moment), *(np.shape(point.moment) for point in self.points)]
+        turned = 3 if (3,) in moments and not along_path else 2
         return max(turned, *(shape[-1] for shape in vectors))
 
     @property
@@ -62,9 +92,16 @@ class Loads(eqx.Module):
         return loads_in_space(self) if count == 3 else self
 
 
+def _check_components(what: str, vector: Number) -> None:
+    if np.shape(vector)[-1:] not in ((2,), (3,)):
+        raise ValueError(f"{what} must have two or three components (X, Y, Z), got shape {np.shape(vector)}")
+
+
 def loads_as_dict(loads: Loads) -> dict[str, object]:
     """For JSON; SI units."""
-    return {name: np.asarray(value) for name, value in vars(loads).items()}
+    own: dict[str, object] = {name: np.asarray(value) for name, value in vars(loads).items() if name != "points"}
+    points = [{name: np.asarray(value) for name, value in vars(point).items()} for point in loads.points]
+    return own | ({"points": points} if points else {})
 
 
 def gravity_in_words(gravity: object) -> str:
@@ -79,10 +116,14 @@ def loads_in_space(loads: Loads) -> Loads:
         x = jnp.asarray(value)
         return x if x.shape[-1] == 3 else jnp.concatenate([x, jnp.zeros_like(x[..., :1])], axis=-1)
 
-    moment = jnp.asarray(loads.tip_moment)
-    if moment.shape[-1:] != (3,):  # about Z, perhaps along a path
-        moment = jnp.stack([jnp.zeros_like(moment), jnp.zeros_like(moment), moment], axis=-1)
-    return Loads(vector(loads.tip_force), moment, vector(loads.gravity))
+    def turning(value: Number) -> Number:
+        moment = jnp.asarray(value)
+        if moment.shape[-1:] == (3,):
+            return moment
+        return jnp.stack([jnp.zeros_like(moment), jnp.zeros_like(moment), moment], axis=-1)  # about Z
+
+    points = [PointLoad(point.arc_length, vector(point.force), turning(point.moment)) for point in loads.points]
+    return Loads(vector(loads.tip_force), turning(loads.tip_moment), vector(loads.gravity), points)
 
 
 def force_per_length(loads: Loads, mass_per_length: Float[Array, "*points"]) -> Float[Array, "*points components"]:
@@ -97,9 +138,22 @@ def force_per_length(loads: Loads, mass_per_length: Float[Array, "*points"]) -> 
     return mass_per_length[..., None] * jnp.asarray(loads.gravity)
 
 
-def force_at_points(loads: Loads, mass: Float[Array, " masses"]) -> Float[Array, "masses components"]:
-    """The dead load of each point mass, N: its weight."""
-    return mass[:, None] * jnp.asarray(loads.gravity)
+class AtPoints(NamedTuple):
+    """Dead loads at single places of the body."""
+
+    arc_length: Float[Array, " points"]  # m
+    force: Float[Array, "points components"]  # N
+    moment: Float[Array, "points *components"]  # N m
+
+
+def loads_at_points(loads: Loads, masses: Iterable["PointMass"]) -> AtPoints | None:
+    """The weights of point masses and the point loads; None where there are none."""
+    gravity, none = jnp.asarray(loads.gravity), 0.0 * jnp.asarray(loads.tip_moment)
+    weights = [PointLoad(mass.arc_length, jnp.asarray(mass.mass) * gravity, none) for mass in masses]
+    if not (every := [*weights, *loads.points]):
+        return None
+    place, force, moment = zip(*((each.arc_length, each.force, each.moment) for each in every), strict=True)
+    return AtPoints(*(jnp.stack([jnp.asarray(x) for x in values]) for values in (place, force, moment)))
 
 
 def planar_cross(a: Float[Array, "*points 2"], b: Float[Array, "*points 2"]) -> Float[Array, "*points"]:

@@ -57,12 +57,18 @@ def check_manipulator(manipulator: Manipulator, offsets_outside_wall: bool) -> N
         _check_apart(manipulator, s)
 
 
-def check_weight(manipulator: Manipulator, loads: Loads | None) -> None:
-    """Refuse gravity on a body without mass; traced values are not checked.
+def check_loads(manipulator: Manipulator, loads: Loads | None) -> None:
+    """Refuse gravity on a body without mass, and loads beside the body; traced values are not checked.
 
     Raises:
         InputError: names what is missing and the remedy.
     """
+    for number, point in enumerate(() if loads is None else loads.points):
+        place, length = point.arc_length, manipulator.length
+        known = not isinstance(place, Tracer) and not isinstance(length, Tracer)
+        if known and not np.all((np.asarray(place) > 0) & (np.asarray(place) <= np.asarray(length))):
+            what = f"loads.points.{number}: arc_length must lie above 0 and up to the tip at {_mm(length)}"
+            raise InputError(f"{what}, got {_mm(place)}; put the load on the body")
     if loads is None or isinstance(loads.gravity, Tracer) or not np.any(np.asarray(loads.gravity)):
         return
     if not manipulator.has_mass:

@@ -74,9 +74,11 @@ def checked_loads(loads: Loads | None) -> Loads | None:
         return None
     if not isinstance(loads, Loads):
         raise TypeError(f"solve: loads must be a Loads, as in Loads(tip_force=(0.0, -1.0)), got {loads!r}")
-    shapes = {"tip_force": ((2,), (3,)), "tip_moment": ((), (3,)), "gravity": ((2,), (3,))}
-    for name, allowed in shapes.items():
-        found = np.shape(getattr(loads, name))
+    vector, turn = ((2,), (3,)), ((), (3,))
+    shapes = {"arc_length": ((),), "moment": turn, "tip_moment": turn}
+    for path, value in jax.tree_util.tree_leaves_with_path(loads):
+        name = jax.tree_util.keystr(path, simple=True, separator=".")
+        allowed, found = shapes.get(name.split(".")[-1], vector), np.shape(value)
         if found not in allowed:
             known = " or ".join(map(str, allowed))
             raise ValueError(f"solve: loads.{name} must have shape {known}, got {found}; batch with jax.vmap")
@@ -238,7 +240,7 @@ def is_physical(
         & (problem.elements.edges[-1] > 0)
         & jnp.all(manipulator.tendon_friction >= 0)
         & (True if manipulator.tendon_drag is None else jnp.all(manipulator.tendon_drag >= 0))
-        & _has_physical_masses(manipulator, problem)
+        & _has_physical_points(manipulator, problem)
         & jnp.all(jnp.isfinite(manipulator.tendon_compliance) & (manipulator.tendon_compliance >= 0))
         & jnp.all(manipulator.tendon_free_length >= 0)
         & jnp.all(base_tension >= 0)
@@ -246,13 +248,16 @@ def is_physical(
     )
 
 
-def _has_physical_masses(manipulator: Manipulator, problem: Problem) -> Bool[Array, ""]:
+def _has_physical_points(manipulator: Manipulator, problem: Problem) -> Bool[Array, ""]:
     density, length = jnp.asarray(manipulator.density), problem.elements.edges[-1]
     good = density >= 0 if manipulator.has_radii else density == 0
     if problem.manipulator.mass_per_length is not None:
         good = good & jnp.all(problem.manipulator.mass_per_length(problem.elements.nodes) >= 0)
+    loaded = () if problem.loads is None else problem.loads.points
+    for point in (*manipulator.point_masses, *loaded):
+        good = good & (point.arc_length > 0) & (point.arc_length <= length)
     for point in manipulator.point_masses:
-        good = good & (point.mass >= 0) & (point.arc_length > 0) & (point.arc_length <= length)
+        good = good & (point.mass >= 0)
     return good
 
 

@@ -33,7 +33,7 @@ from ..robot.cross_section import planar
 from ..robot.loads import Loads, loads_in_space
 from ..robot.manipulator import Manipulator
 from ..robot.profiles import as_number
-from ..robot.validation import check_weight
+from ..robot.validation import check_loads
 from .arguments import one_precision
 from .balance import equilibrate
 from .equilibrium import Equilibrium, nan_unless
@@ -109,7 +109,7 @@ def tip_jacobian(
     Raises:
         InputError: for gravity on a body without mass.
     """
-    check_weight(manipulator, loads)
+    check_loads(manipulator, loads)
     base_tension, direction = (jax.tree.map(as_number, x) for x in (base_tension, direction))
     return _tip_jacobian((manipulator, base_tension, loads), direction, method, nodes)
 
@@ -246,7 +246,8 @@ def _load_energy(problem: Problem, solution: Solution) -> Number:
     at_starts, at_nodes, at_tip = (state.position for state in (solution.starts, solution.nodes, solution.tip))
     lifted = jnp.sum(problem.elements.gain(jnp.sum(rate * at_nodes, axis=-1)))
     if problem.outboard.drops is not None:
-        lifted = lifted + jnp.sum(problem.outboard.drops * at_starts)
+        drops = problem.outboard.drops
+        lifted = lifted + jnp.sum(drops.force * at_starts) + jnp.sum(drops.moment * solution.starts.heading)
     return -(jnp.asarray(loads.tip_force) @ at_tip + loads.tip_moment * solution.tip.heading + lifted)
 
 

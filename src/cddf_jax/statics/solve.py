@@ -24,7 +24,7 @@ from ..robot.cross_section import planar
 from ..robot.loads import Loads, loads_in_space
 from ..robot.manipulator import Manipulator, in_space
 from ..robot.profiles import Number
-from ..robot.validation import check_weight
+from ..robot.validation import check_loads
 from .arguments import (
     GivenDirections,
     are_possible,
@@ -125,7 +125,7 @@ def solve(
         manipulator = in_space(manipulator)
         check_in_space(method)
     check_targets(manipulator, targets)
-    check_weight(manipulator, loads)
+    check_loads(manipulator, loads)
     try:
         equilibrium = _solve(manipulator, given, targets, loads, direction, method, nodes)
     except (TypeError, ValueError):

@@ -14,7 +14,7 @@ from ..mechanics.march import FixedPoint
 from ..numerics.given_numbers import check_numbers
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
-from ..robot.validation import check_weight
+from ..robot.validation import check_loads
 from ..statics.arguments import refuse_batch
 from ..statics.named_numbers import Case, holds, stem_and_tendon
 from ..statics.targets import Target, TipPosition
@@ -144,7 +144,7 @@ def _idle(swept: set[str], case: Case, wall_is_seen: bool) -> dict[str, str]:
     if gravity and not masses and not body.has_mass:
         found[min(gravity)] = "the body has no weight; give it density, mass_per_length or point_masses"
     if not masses and not gravity:
-        check_weight(body, loads)
+        check_loads(body, loads)
     if "poissons_ratio" in swept and not case.in_space:
         found["poissons_ratio"] = "it matters in space; give the tendons an angle"
     for name in sorted(swept & {"axial_factor", "shear_factor"}):

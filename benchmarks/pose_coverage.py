@@ -1,0 +1,108 @@
+"""How often 95 % intervals from poses in space contain the true value: `python benchmarks/pose_coverage.py`.
+
+A body of 200 mm with three tendons at 120 degrees is pulled to 40 poses, one after another: in each pose one or two
+tendons at random have 2 to 14 N, the others 0.6 N. Base cells have 0.04 N of noise, which is not given to the fit; a
+tracker sees the tip from an unknown place and direction, with 0.4 mm of noise, which is given. Friction coefficient,
+modulus and the six numbers of the tracker's frame are fitted. The benches are simulated with twice the elements and
+increments of the fit. The seed is fixed beforehand, 22; bench k is drawn from (22, k), its poses too.
+
+Each bench is fitted with history. `--without` fits them without history, as if each pose were pulled from rest.
+"""
+
+import argparse
+from typing import Any
+
+import numpy as np
+from loop_coverage import summary
+from table import report
+
+import cddf_jax as cddf
+from cddf_jax.application import configure_jax
+
+SEED, POSES = 22, 40
+LOW, CELL, TRACKER = 0.6, 0.04, 4e-4  # N, N, m
+TRUTH = {"friction_coefficient": 0.186, "youngs_modulus": 1.06e6}
+START = {"friction_coefficient": 0.25, "youngs_modulus": 1e6}
+ANGLES = (0.11, 0.11 + 2 * np.pi / 3, 0.11 + 4 * np.pi / 3)
+
+
+def body_of(friction_coefficient: float, youngs_modulus: float) -> cddf.Manipulator:
+    """A tube of silicone with three tendons."""
+    return cddf.Manipulator(
+        length=0.2,
+        outer_radius=0.0114,
+        inner_radius=0.003,
+        youngs_modulus=youngs_modulus,
+        friction_coefficient=friction_coefficient,
+        tendons=tuple(cddf.Tendon(offset=0.0086, angle=angle) for angle in ANGLES),
+    )
+
+
+def rotation(vector: np.ndarray) -> np.ndarray:
+    """The matrix of a rotation vector, by Rodrigues."""
+    angle = np.linalg.norm(vector)
+    x, y, z = vector / angle
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+
+
+def bench(rng: np.random.Generator) -> cddf.Measurements:
+    """One simulated table."""
+    pulls = np.full((POSES, 3), LOW)
+    for row in pulls:
+        pulled = rng.permutation(3)[: rng.integers(1, 3)]
+        row[pulled] = rng.uniform(2.0, 14.0, pulled.size)
+    history = cddf.trace(body_of(**TRUTH), pulls, nodes=16, short_steps=8, throw=False)
+    turn, place = rotation(rng.normal(size=3)), rng.normal(scale=0.3, size=3)
+    tip = np.asarray(history.tip_position) @ turn.T + place + TRACKER * rng.normal(size=(POSES, 3))
+    read = pulls + CELL * rng.normal(size=pulls.shape)
+    columns = {f"base_tension{end}": read[:, i] for i, end in enumerate(("", "_2", "_3"))}
+    columns |= {f"tip_{axis}": tip[:, i] for i, axis in enumerate("xyz")} | {"step": np.arange(POSES)}
+    return cddf.Measurements.from_columns("poses", notes=("simulated",), **columns)
+
+
+def coverage(benches: int, history: bool) -> dict[str, Any]:
+    """Per cent of the intervals that hold the truth."""
+    held, errors, lost, named = [], [], 0, 0
+    for k in range(benches):
+        fit = cddf.fit(
+            body_of(**START),
+            bench(np.random.default_rng((SEED, k))),
+            (*TRUTH, "camera"),
+            noise=dict.fromkeys(("tip_x", "tip_y", "tip_z"), TRACKER),
+            history=history,
+        )
+        if not fit.success:
+            lost += 1
+            print(f"bench {k}: {fit.result}", flush=True)
+            continue
+        named += all(status == "identified" for status in fit.status.values())
+        ends = [fit.confidence_interval[name] for name in TRUTH]
+        held.append([low <= true <= high for (low, high), true in zip(ends, TRUTH.values(), strict=True)])
+        errors.append([(fit.value[name] - true) / fit.standard_error[name] for name, true in TRUTH.items()])
+        print(f"bench {k}: {fit.value['friction_coefficient']:.4f}, {held[-1]}", flush=True)
+    return summary(TRUTH, held, errors, lost) | {"all eight identified": named}
+
+
+def markdown(row: dict[str, Any]) -> str:
+    """The table of one run."""
+    held = row["intervals that hold the truth, %"]
+    shares = (held[name] / 100 for name in TRUTH)
+    cells = " | ".join(f"{100 * p:.1f} ± {100 * np.sqrt(p * (1 - p) / row['fits']):.1f}" for p in shares)
+    lines = ["| benches | failed | all eight identified | mu, % | E, % |", "| ---: | ---: | ---: | ---: | ---: |"]
+    return "\n".join([*lines, f"| {row['fits']} | {row['failed']} | {row['all eight identified']} | {cells} |"]) + "\n"
+
+
+def main() -> None:
+    """Simulate, print and save."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--benches", type=int, default=200)
+    parser.add_argument("--without", action="store_true", help="fit without history")
+    asked = parser.parse_args()
+    configure_jax()
+    row = coverage(asked.benches, not asked.without)
+    report(f"pose_coverage{'_without_history' if asked.without else ''}", markdown(row), {"seed": SEED, "results": row})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,140 @@
+"""Loads at any arc length: against SciPy's integration of the elastica with capstan friction, and loads at the tip."""
+
+import jax
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+
+import cddf_jax as cddf
+from cddf_jax.errors import InputError
+
+LENGTH, OUTER, INNER, OFFSET, E, MU = 0.2, 0.0114, 0.003, 0.008, 1e6, 0.3
+TENSION, PLACE, FORCE, MOMENT = (5.0, 1.0), 0.083, (0.02, -0.15), 0.004
+POINT = cddf.Loads(points=[cddf.PointLoad(PLACE, FORCE, MOMENT)])
+
+
+def pair(in_space=False):
+    """A tube with a tendon on either side."""
+    sides = [{"angle": 0.0}, {"angle": np.pi}] if in_space else [{"side": 1}, {"side": -1}]
+    return cddf.Manipulator(
+        length=LENGTH,
+        outer_radius=OUTER,
+        inner_radius=INNER,
+        youngs_modulus=E,
+        friction_coefficient=MU,
+        tendons=[cddf.Tendon(offset=OFFSET, **side) for side in sides],
+    )
+
+
+def by_scipy(direction):
+    """X, Y, phi and both tensions at the tip: shooting for the moment at the base, with a jump of M at the load."""
+    stiffness = E * np.pi / 4 * (OUTER**4 - INNER**4)
+
+    def rate(_, y, force):
+        _, _, phi, first, second, moment = y
+        kappa = (moment + OFFSET * (first - second)) / stiffness
+        lost = MU * abs(kappa) * np.array(direction) * [first, second]
+        return [np.cos(phi), np.sin(phi), kappa, *-lost, np.sin(phi) * force[0] - np.cos(phi) * force[1]]
+
+    def tip(base_moment):
+        y = np.array([0.0, 0.0, 0.0, *TENSION, base_moment])
+        for start, end, force in ((0.0, PLACE, FORCE), (PLACE, LENGTH, (0.0, 0.0))):
+            y = solve_ivp(rate, (start, end), y, args=(force,), rtol=1e-11, atol=1e-13).y[:, -1]
+            y[5] -= MOMENT if end == PLACE else 0.0
+        return y
+
+    return tip(brentq(lambda moment: tip(moment)[5], -0.2, 0.2, xtol=1e-14))[:5]
+
+
+@pytest.mark.parametrize("in_space", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_a_force_and_a_moment_at_a_place(in_space):
+    found = cddf.solve(pair(in_space), TENSION, POINT, direction=(1, 1))
+    x, y, phi, *tensions = by_scipy((1, 1))
+    np.testing.assert_allclose(found.tip_position[:2], [x, y], atol=1e-9)
+    np.testing.assert_allclose(found.tip_tension, tensions, rtol=1e-8)
+    if not in_space:
+        np.testing.assert_allclose(found.tip_angle, phi, rtol=1e-8)
+
+
+@pytest.mark.slow
+def test_a_path_ends_where_solve_does():
+    """Both tendons keep their direction while tensions and load grow, so that the answer is that without history."""
+    half = cddf.Loads(points=[cddf.PointLoad(PLACE, np.multiply(0.5, FORCE), 0.5 * MOMENT)])
+    found = cddf.trace(pair(), [[2.5, 0.5], TENSION], [half, POINT], short_steps=16)
+    x, y, phi, *tensions = by_scipy((1, -1))
+    np.testing.assert_allclose(found.tip_position[-1], [x, y], atol=1e-6)
+    np.testing.assert_allclose(found.tip_angle[-1], phi, atol=1e-5)
+    np.testing.assert_allclose(found.tip_tension[-1], tensions, atol=1e-5)
+    balance = found.work - found.friction_loss - found.stored_energy
+    np.testing.assert_allclose(balance, 0.0, atol=1e-4 * found.work[-1])
+
+
+def test_at_the_tip_it_is_a_load_on_the_tip():
+    at_tip = cddf.Loads(points=[cddf.PointLoad(LENGTH, FORCE, MOMENT)])
+    one, other = (cddf.solve(pair(), TENSION, each) for each in (at_tip, cddf.Loads(FORCE, MOMENT)))
+    np.testing.assert_allclose(one.tip_position, other.tip_position, rtol=1e-12)
+    np.testing.assert_allclose(one.base_moment, other.base_moment, rtol=1e-12)
+
+
+def test_a_point_mass_is_a_force():
+    weighed = cddf.Manipulator(**{**vars(pair()), "point_masses": [cddf.PointMass(mass=0.02, arc_length=PLACE)]})
+    by_mass = cddf.solve(weighed, TENSION, cddf.Loads(gravity=(0.0, -9.81)))
+    by_force = cddf.solve(pair(), TENSION, cddf.Loads(points=[cddf.PointLoad(PLACE, (0.0, -0.02 * 9.81))]))
+    np.testing.assert_allclose(by_mass.tip_position, by_force.tip_position, rtol=1e-12)
+
+
+@pytest.mark.parametrize("mode", [jax.jacfwd, jax.jacrev])
+def test_derivatives_by_place_force_and_moment(mode):
+    """Against central differences."""
+
+    def tip(numbers):
+        place, force, moment = numbers
+        loads = cddf.Loads(points=[cddf.PointLoad(place, (0.0, force), moment)])
+        return cddf.solve(pair(), TENSION, loads, direction=(1, 1), throw=False).tip_position[1]
+
+    at, step = np.array([PLACE, FORCE[1], MOMENT]), np.array([1e-5, 1e-4, 1e-5])
+    tip = jax.jit(tip)
+    differences = [(tip(at + h) - tip(at - h)) / (2 * np.max(h)) for h in np.diag(step)]
+    np.testing.assert_allclose(mode(tip)(at), differences, rtol=1e-6)
+
+
+def test_a_lane_whose_load_is_beside_the_body():
+    places = jax.vmap(
+        lambda place: cddf.solve(pair(), TENSION, cddf.Loads(points=[cddf.PointLoad(place, FORCE)]), throw=False).status
+    )(np.array([PLACE, 0.3, 0.1]))
+    np.testing.assert_array_equal(places == cddf.Status.unphysical, [False, True, False])
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "message"),
+    [
+        (lambda: cddf.PointLoad(0.1, (1.0,)), ValueError, r"PointLoad: force must have two or three components"),
+        (lambda: cddf.Loads(points=[0.1]), TypeError, r"points must hold PointLoad"),
+        (
+            lambda: cddf.solve(pair(), TENSION, cddf.Loads(points=[cddf.PointLoad(0.3, FORCE)])),
+            InputError,
+            r"loads.points.0: arc_length must lie above 0 and up to the tip at 200 mm, got 300 mm; put the load on",
+        ),
+        (
+            lambda: cddf.solve(pair(), TENSION, cddf.Loads(points=[cddf.PointLoad(np.array([0.1, 0.1]), FORCE)])),
+            ValueError,
+            r"loads.points.0.arc_length must have shape \(\), got \(2,\)",
+        ),
+        (
+            lambda: cddf.trace(
+                pair(), [TENSION, TENSION], cddf.Loads(points=[cddf.PointLoad(np.array([0.1, 0.12]), FORCE)])
+            ),
+            ValueError,
+            r"loads.points.0.arc_length must have the shape \(\), got \(2,\)",
+        ),
+        (
+            lambda: cddf.trace(pair(), [TENSION, TENSION], [POINT, cddf.Loads()]),
+            ValueError,
+            r"all loads of a path must have the same points; give those that do not act 0 N",
+        ),
+    ],
+)
+def test_what_is_refused(make, error, message):
+    with pytest.raises(error, match=message):
+        make()
