@@ -102,7 +102,7 @@ def test_readme_names_commands_that_exist():
 
 
 def test_every_study_is_expected():
-    own_test = {"soft_tentacle"}  # test_soft_tentacle.py
+    own_test = {"soft_tentacle", "sorosim_shapes"}  # test_soft_tentacle.py, test_sorosim_shapes.py
     assert {path.stem for path in (ROOT / "fitting").glob("*.py")} == set(STATUS) | own_test
 
 
