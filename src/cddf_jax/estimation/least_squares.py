@@ -202,8 +202,8 @@ def least_squares_fit(
         prefer_start: if the data leave a valley open, end where its first parameter has its start value, and not at the
             shallow minimum that noise makes somewhere in the valley.
         max_steps: of the optimiser.
-        accuracy: of the sum of squares, relative, for a model whose derivative jumps or that is not good to all digits:
-            a search ends where a whole step of Gauss-Newton promises less.
+        accuracy: in standard errors, for a model whose derivative jumps or that is not good to all digits: a search
+            ends where a whole step of Gauss-Newton promises to move the estimates by less.
         inputs: of the model, where they were read with errors, see `InputErrors`.
 
     Raises:

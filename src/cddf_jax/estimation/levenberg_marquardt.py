@@ -67,7 +67,13 @@ class Minimum(NamedTuple):
             return False
         basis, _ = np.linalg.qr(outcome.jacobian[:, np.any(outcome.jacobian, axis=0)])  # those that are held are 0
         promised = np.sum((basis.T @ problem.influence(outcome.residual)) ** 2)
-        return bool(promised < problem.accuracy * outcome.cost or CLEARLY * promised < outcome.cost - closing)
+        return bool(promised < problem.noteworthy * outcome.cost or CLEARLY * promised < outcome.cost - closing)
+
+    def is_near(self, other: "Minimum") -> bool:
+        """Whether the estimates of another end differ by no more than searches need to come close to a minimum."""
+        moved = (other.outcome.parameters - self.outcome.parameters) / self.outcome.size
+        change = float(np.sum((self.outcome.jacobian @ moved) ** 2))
+        return change < self.problem.noteworthy * float(self.outcome.cost)
 
     @property
     def misfit(self) -> tuple[float, str]:

@@ -106,9 +106,8 @@ class LeastSquaresProblem:
     space: ParameterSpace
     loss: str = field(metadata={"static": True})
     max_steps: int = field(metadata={"static": True})  # of a search
-    accuracy: float = field(
-        default=0.0, metadata={"static": True}
-    )  # of the cost, relative: a search need not get closer
+    # in standard errors: a search need not come closer to the minimum
+    accuracy: float = field(default=0.0, metadata={"static": True})
 
     def residual(self, z: Float[Numbers, " n"], held: Float[Numbers, " n"]) -> Float[Array, " m"]:
         """(predicted - observed) / sigma of all groups, then (value - mean) / deviation of the priors.
@@ -130,6 +129,11 @@ class LeastSquaresProblem:
     def parameters(self, z: Float[Numbers, " n"], held: Float[Numbers, " n"]) -> Float[Array, " n"]:
         """The parameters at z; `held` is NaN where they are free."""
         return jnp.where(jnp.isnan(held), self.space.parameters(z), held)
+
+    @property
+    def noteworthy(self) -> float:
+        """The fall of the cost, relative to it, that moves the estimates by `accuracy`."""
+        return self.accuracy**2 / self.num_data
 
     @property
     def num_data(self) -> int:

@@ -104,22 +104,21 @@ def interrupted_at(task: FitTask, best: Minimum) -> Ending:
 
 def _settle_noise(task: FitTask, z: np.ndarray) -> tuple[Minimum, bool]:
     """The minimum with the noise of its residuals, and whether the two agreed in the end."""
-    problem, settled = task.problem, False
-    outcome = minimise(problem, z)
+    problem = task.problem
+    found, settled, close = Minimum(problem, minimise(problem, z)), False, max(1e-4, problem.accuracy / 10)
     for _ in range(NOISE_ROUNDS):
-        noise, (improved, shared) = (
-            problem.data.noise,
-            estimate_noise(task.groups, Minimum(problem, outcome), task.inputs),
-        )
+        noise, before = problem.data.noise, found
+        improved, shared = estimate_noise(task.groups, found, task.inputs)
         same = _alike(problem.shared, shared)
         if same and all(map(np.array_equal, noise, improved)):  # it was known
-            return Minimum(problem, outcome), True
-        settled = same and all(np.allclose(a, b, rtol=1e-4, atol=0) for a, b in zip(noise, improved, strict=True))
+            return found, True
+        near = all(np.allclose(a, b, rtol=close, atol=0) for a, b in zip(noise, improved, strict=True))
         problem = replace(problem, data=problem.data._replace(noise=improved), shared=shared)
-        outcome = minimise(problem, outcome.z)
-        if settled or not np.all(np.isfinite(outcome.residual)):
+        found = Minimum(problem, minimise(problem, before.outcome.z))
+        settled = near and (same or found.is_near(before))
+        if settled or not np.all(np.isfinite(found.outcome.residual)):
             break
-    return Minimum(problem, outcome), settled
+    return found, settled
 
 
 def _alike(one: Shared, other: Shared) -> bool:
@@ -203,7 +202,7 @@ def is_steep(minimum: Minimum, evidence: Evidence) -> bool:
     """Whether the cost has a slope where the search ended, not counting parameters at a bound."""
     outcome = minimum.outcome
     exact = np.linalg.norm(outcome.residual) <= EXACT * np.sqrt(outcome.residual.size)
-    steepest = max(STEEPEST, np.sqrt(minimum.problem.accuracy)) if outcome.solved else STEEPEST_UNSOLVED
+    steepest = max(STEEPEST, np.sqrt(minimum.problem.noteworthy)) if outcome.solved else STEEPEST_UNSOLVED
     return not exact and bool(np.any(slopes(minimum, outcome)[~evidence.at_bound] > steepest))
 
 

@@ -29,7 +29,7 @@ STEPS = 16  # paths are traced in multiples of this number, so that tables share
 FEW_STEPS = 4  # the same for paths that are followed in increments
 ELEMENTS_IN_FITS = 2  # times the nodes, half as many as `trace` takes: their error is told beside the estimates
 SHORT_STEPS = 4  # in each step of a path without an exact answer
-SMOOTHNESS = 1e-6  # of sums of squares, relative: they have a kink where a front passes a node
+CLOSE = 0.1  # standard errors: sums of squares have kinks where fronts pass nodes, about which searches would wander
 MOST_REMEMBERED = 60  # turns whose effect on later rows counts in the errors of base tensions
 WITHOUT = "give history=False (--no-history), which lets each tendon slide one way in each row"
 

@@ -23,7 +23,7 @@ from ..robot.manipulator import Manipulator
 from ..statics.arguments import refuse_batch
 from . import bench
 from .camera import camera_start, check_reach, unexplained_pose
-from .course import SHORT_STEPS, SMOOTHNESS, Course, course_of, has_history
+from .course import CLOSE, SHORT_STEPS, Course, course_of, has_history
 from .parameters import (
     PLAIN,
     TRIALS,
@@ -336,7 +336,7 @@ def fit(
     observed, inputs = {group.label: group.observed for group in groups}, errors_of_base(model, tables, of_base)
     search = partial(least_squares_fit, model, observed=observed, sigma=sigma, inputs=inputs, bounds=bounds)
     in_increments = any(course is not None and course[0].short_steps is not None for course in courses)
-    search = partial(search, loss=loss, seed=seed, prefer_start=True, accuracy=SMOOTHNESS if in_increments else 0.0)
+    search = partial(search, loss=loss, seed=seed, prefer_start=True, accuracy=CLOSE if in_increments else 0.0)
     if not per_trial:
         statistics = search(start, priors=priors, scales=scales, starts=starts)
         return _conclude(statistics, tables, model, setting, without_jitter, float("nan"), left_out, options)
