@@ -42,7 +42,7 @@ def statics():
     batch = jax.vmap(lambda pull: cddf.solve(robot, pull, nodes=8))(pulls)
     assert batch.tip_tension.shape == (2, 1)
     jax.grad(lambda body: cddf.solve(body, 20.0, nodes=8).tip_tension[0])(robot)
-    loads = cddf.Loads(tip_force=(0.0, -1.0), gravity=(0.0, -9.81))
+    loads = cddf.Loads(tip_force=(0.0, -1.0), gravity=(0.0, -9.81), points=[cddf.PointLoad(0.05, (0.0, -0.1))])
     cddf.solve(stepped, 20.0, loads, nodes=8)
     cddf.solve(pair, (20.0, 5.0), nodes=8)
     wanted = cddf.Displacement(0.005), cddf.TipTension(15.0), cddf.CurvatureAt(4.0, 0.07), cddf.TipStiffness(200.0)

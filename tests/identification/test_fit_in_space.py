@@ -99,6 +99,8 @@ def test_a_setting_in_words():
         "loads in all rows: tip force 0, 0 N, tip moment 0 N m, gravity 0, -9.81 m/s^2",
         "marker head: (2, 11, 4) mm from the axis at 80 mm",
     ]
+    hung = cddf.BenchSetting(cddf.Loads(points=[cddf.PointLoad(0.06, (0.0, -0.5))]))
+    assert hung.in_words[1] == "load in all rows at 60 mm: 0, -0.5 N and 0 N m"
 
 
 def test_a_rotation_out_of_the_plane_needs_a_body_in_space():

@@ -15,10 +15,10 @@ from jaxtyping import Array, Float
 
 from ..mechanics.friction import PerTendon
 from ..mechanics.geometry import Geometry
-from ..mechanics.problem import breakpoints_under, geometry_of, guarded_section, load_rate
+from ..mechanics.problem import breakpoints_under, geometry_of, guarded_section, load_rate, loads_at_points
 from ..numerics.elements import smooth_pieces
 from ..robot.cross_section import AnySection, where_present
-from ..robot.loads import Loads, loads_at_points
+from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 
 Number = Float[Array, ""]

@@ -6,7 +6,7 @@ c_i of the base tension: T_i = (T_base,i - c_i) / r_i with c' = direction w r. T
 in T' = -direction (mu theta' T + w). Both r and c stay regular where T is zero.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
@@ -18,8 +18,8 @@ from ..numerics.arrays import zero_as
 from ..numerics.elements import LARGEST_ORDER, Elements, elements_between, smooth_pieces
 from ..numerics.fixed_point import without_derivative
 from ..robot.cross_section import AnySection, SpatialSection, where_present
-from ..robot.loads import AtPoints, Loads, force_per_length, loads_at_points
-from ..robot.manipulator import Manipulator
+from ..robot.loads import Loads, PointLoad, force_per_length
+from ..robot.manipulator import Manipulator, PointMass
 from .friction import PerTendon, Pull, is_proportional, spent_rate, unspent
 from .geometry import PLANE, SPACE, Geometry
 
@@ -266,7 +266,7 @@ def _outboard(manipulator: Manipulator, cut: Elements, loads: Loads | None) -> O
     return along if points is None else _with_points(along, cut, points)
 
 
-def _with_points(along: Outboard, cut: Elements, points: AtPoints) -> Outboard:
+def _with_points(along: Outboard, cut: Elements, points: "AtPoints") -> Outboard:
     """The same with the loads at points, each of which lies where an element starts.
 
     At the tip itself N is that just before it.
@@ -279,6 +279,24 @@ def _with_points(along: Outboard, cut: Elements, points: AtPoints) -> Outboard:
     at_tip = jnp.where(places == tip, 1.0, 0.0) @ points.force
     drops = Drops(at_start @ points.force, at_start @ points.moment)
     return Outboard(along.starts + beyond, along.nodes + beyond[:, None], along.tip + at_tip, along.tip_moment, drops)
+
+
+class AtPoints(NamedTuple):
+    """Dead loads at single places of the body."""
+
+    arc_length: Float[Array, " points"]  # m
+    force: Float[Array, "points components"]  # N
+    moment: Float[Array, "points *components"]  # N m
+
+
+def loads_at_points(loads: Loads, masses: Iterable[PointMass]) -> AtPoints | None:
+    """The weights of point masses and the point loads; None where there are none."""
+    gravity, none = jnp.asarray(loads.gravity), 0.0 * jnp.asarray(loads.tip_moment)
+    weights = [PointLoad(mass.arc_length, jnp.asarray(mass.mass) * gravity, none) for mass in masses]
+    if not (every := [*weights, *loads.points]):
+        return None
+    place, force, moment = zip(*((each.arc_length, each.force, each.moment) for each in every), strict=True)
+    return AtPoints(*(jnp.stack([jnp.asarray(x) for x in values]) for values in (place, force, moment)))
 
 
 def load_rate(manipulator: Manipulator, arc_length: Array, loads: Loads) -> Float[Array, "*points components"]:

@@ -1,8 +1,5 @@
 """Dead loads on a manipulator: forces and moments that keep their direction in space while the body bends."""
 
-from collections.abc import Iterable
-from typing import TYPE_CHECKING, NamedTuple
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -10,9 +7,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .profiles import Number, as_number
-
-if TYPE_CHECKING:
-    from .manipulator import PointMass
 
 
 def _as_moment(value: object) -> Number:
@@ -136,24 +130,6 @@ def force_per_length(loads: Loads, mass_per_length: Float[Array, "*points"]) -> 
         mass_per_length: at each point, kg/m.
     """
     return mass_per_length[..., None] * jnp.asarray(loads.gravity)
-
-
-class AtPoints(NamedTuple):
-    """Dead loads at single places of the body."""
-
-    arc_length: Float[Array, " points"]  # m
-    force: Float[Array, "points components"]  # N
-    moment: Float[Array, "points *components"]  # N m
-
-
-def loads_at_points(loads: Loads, masses: Iterable["PointMass"]) -> AtPoints | None:
-    """The weights of point masses and the point loads; None where there are none."""
-    gravity, none = jnp.asarray(loads.gravity), 0.0 * jnp.asarray(loads.tip_moment)
-    weights = [PointLoad(mass.arc_length, jnp.asarray(mass.mass) * gravity, none) for mass in masses]
-    if not (every := [*weights, *loads.points]):
-        return None
-    place, force, moment = zip(*((each.arc_length, each.force, each.moment) for each in every), strict=True)
-    return AtPoints(*(jnp.stack([jnp.asarray(x) for x in values]) for values in (place, force, moment)))
 
 
 def planar_cross(a: Float[Array, "*points 2"], b: Float[Array, "*points 2"]) -> Float[Array, "*points"]:
