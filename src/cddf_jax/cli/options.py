@@ -126,6 +126,14 @@ LeaveOutOption = Annotated[
         show_default="none",
     ),
 ]
+EachFromRest = Annotated[
+    bool,
+    typer.Option(
+        "--each-from-rest",
+        help="Follow each row from rest, with all tensions and tip forces in proportion.",
+        show_default="where rows without history are contradicted",
+    ),
+]
 HistoryOption = Annotated[
     bool | None,
     typer.Option(

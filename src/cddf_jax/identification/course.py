@@ -29,6 +29,7 @@ STEPS = 16  # paths are traced in multiples of this number, so that tables share
 FEW_STEPS = 4  # the same for paths that are followed in increments
 ELEMENTS_IN_FITS = 2  # times the nodes, half as many as `trace` takes: their error is told beside the estimates
 SHORT_STEPS = 4  # in each step of a path without an exact answer
+EACH = "each"  # of a history: every row is pulled from rest, all tensions and tip forces in proportion
 CLOSE = 0.1  # standard errors: sums of squares have kinks where fronts pass nodes, about which searches would wander
 MOST_REMEMBERED = 60  # turns whose effect on later rows counts in the errors of base tensions
 WITHOUT = "give history=False (--no-history), which lets each tendon slide one way in each row"
@@ -216,7 +217,8 @@ def _course(
 ) -> Course:
     """From the tensions and forces of each path, (steps, tendons) and (steps, components)."""
     longest = max(map(len, paths))
-    longest += -longest % (STEPS if short_steps is None else FEW_STEPS)
+    if longest > 1:
+        longest += -longest % (STEPS if short_steps is None else FEW_STEPS)
     readings, force = (
         np.stack([np.pad(each, ((0, longest - len(each)), (0, 0)), mode="edge") for each in every])
         for every in (paths, forces)

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import ArrayLike
@@ -23,7 +23,7 @@ from ..robot.manipulator import Manipulator
 from ..statics.arguments import refuse_batch
 from . import bench
 from .camera import camera_start, check_reach, unexplained_pose
-from .course import CLOSE, SHORT_STEPS, Course, course_of, has_history
+from .course import CLOSE, EACH, SHORT_STEPS, Course, course_of, has_history
 from .parameters import (
     PLAIN,
     TRIALS,
@@ -219,7 +219,7 @@ def fit(
     bounds: Bounds | None = None,
     noise: Mapping[str, ArrayLike | Noise] | None = None,
     setting: BenchSetting = PLAIN,
-    history: bool | None = None,
+    history: bool | Literal["each"] | None = None,
     before: Before = "rest",
     short_steps: int = SHORT_STEPS,
     leave_out: LeaveOut = (),
@@ -259,7 +259,8 @@ def fit(
             is one number, 0 for exact base tensions. It also decides which turns a history ignores.
         setting: what all rows share: constant loads such as gravity, positions of markers, known numbers of the bench.
         history: whether each row depends on the rows before it, in the order of the columns `step` or `time`, or else
-            in that of the file. None: yes if the table has one of these columns.
+            in that of the file. "each": every row was pulled from rest, all tensions and tip forces in proportion.
+            None: yes if the table has one of these columns; else no, and "each" if that contradicts rows.
         before: with a history, the tensions before the first row: "rest", or the largest base tension, N, from which
             the tendon was released to the first row, as the base cell reads it. One for all trials, or a list with one
             for each, in the order of the tables and of their trials. For a free parameter `before` it is the start of
@@ -294,9 +295,13 @@ def fit(
         **{"starts": starts, "seed": seed},
     }
     if isinstance(leave_out, str) and leave_out.strip() == CONTRADICTED:
+        unordered = history is None and not any(table.ordered for table in tables)
+        given["history"] = False if unordered else history  # the rows are to be left out, and not followed
         return _without_contradicted(partial(fit, manipulator, tables, free, **given))
     with within("fit"):
         tables, left_out = without(tables, leave_out)
+    if history == EACH:
+        tables = tuple(table if "pulling_tension" in table else table.row_by_row() for table in tables)
     own = [tendon.friction_coefficient is not None for tendon in manipulator.tendons]
     if "friction_coefficient" in free and all(own):
         raise InputError("fit: every tendon has its own friction coefficient; leave theirs out to fit a common one")
@@ -310,7 +315,7 @@ def fit(
     with within("fit"):
         noise, of_base = _split(noise or {}, tables)
         courses, guesses = _courses(
-            manipulator, tables, history, before, free, of_base, short_steps, loaded=setting.loads is not None
+            manipulator, tables, history and True, before, free, of_base, short_steps, loaded=setting.loads is not None
         )
     experiments = (
         bench.experiment_of(table, manipulator, int(first), course and course[0], setting, free=free)
@@ -339,7 +344,11 @@ def fit(
     search = partial(search, loss=loss, seed=seed, prefer_start=True, accuracy=CLOSE if in_increments else 0.0)
     if not per_trial:
         statistics = search(start, priors=priors, scales=scales, starts=starts)
-        return _conclude(statistics, tables, model, setting, without_jitter, float("nan"), left_out, options)
+        found = _conclude(statistics, tables, model, setting, without_jitter, float("nan"), left_out, options)
+        if history is None and found.contradicted:
+            given["history"] = EACH
+            return fit(manipulator, data, free, leave_out=leave_out, **given)
+        return found
     if "friction_coefficient" not in free or earlier[-1] < 2:
         remedy = "needs a free friction_coefficient and tables whose column trial names 2 or more"
         raise InputError(f"fit: per_trial {remedy}")

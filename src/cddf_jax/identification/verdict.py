@@ -21,6 +21,7 @@ from ..statics.status import NOTEWORTHY, Status, words_of
 from ..units import preferred, shown
 from .bench import Bench, BenchModel, Group
 from .camera import frame_hint
+from .course import EACH
 from .parameters import TRIALS, Parameters, parameter_named, unit_of
 from .predictions import noise_of_readings
 from .random_effects import many_levels
@@ -91,7 +92,8 @@ def doubt(ends: Sequence[SolveResults]) -> str:
     found, count = sum(map(len, rows.values())), sum(np.count_nonzero(solves.read) for solves in ends)
     return (
         f"{AGAINST} in {found} of {count} rows: "
-        f"{rows_in_words(rows)}; parts of them stick there. Leave these rows out: "
+        f"{rows_in_words(rows)}; parts of them stick there. Follow the rows with history, "
+        "in the order in which they were pulled or each from rest (--each-from-rest). Or leave them out: "
         f"{as_leave_out(rows, alone=alone)}, or --leave-out {CONTRADICTED} to repeat the fit until no row is "
         "contradicted (leave_out in Python). Or state the directions in columns direction and direction_2"
     )
@@ -103,6 +105,8 @@ def fit_warnings(fit: "Fit") -> list[str]:
     with_history = [
         table for name, table in zip(fit.model.names, fit.tables, strict=True) if name in fit.without_jitter
     ]
+    if fit.options["history"] == EACH:
+        found.append("each row was followed from rest, with all tensions and tip forces in proportion")
     found += [
         f"{name}: base_tension jitters by {one.noise:.2g} N (standard deviation), and {one.num_ignored} of its turns "
         f"of {one.least_turn:.2g} N or less are taken for noise{merged_in_words(one, table)}; if they are real, give "

@@ -25,7 +25,7 @@ class Status(IntEnum):
         1,
         "A tendon travels against its direction, so its friction has the wrong sign. Where the direction was stated, "
         "flip it or leave it out: +1 slides in at the base, -1 slides out. Where it was found, both directions are "
-        "contradicted: part of the tendon sticks, and the model does not determine its tension.",
+        "contradicted: part of the tendon sticks, and its tension depends on what was before: follow it with trace.",
     )
     inaccurate = 2, "The error estimate exceeds 1e-5: the body is too rough for its nodes. Raise nodes=."
     crossing = (
