@@ -38,6 +38,17 @@ def test_antagonists_meet_the_table_within_the_error_estimate(pair):
     np.testing.assert_array_equal(pair.sliding(jnp.array([0.02, 0.1]))[1], [[-1, 1], [1, -1]])
 
 
+def test_without_an_estimate_the_answer_is_the_same(pair):
+    """The error is not known, and said to be so; a history goes on without it, also from one that had it."""
+    found = cddf.trace(PAIR, PATH, estimate_error=False)
+    np.testing.assert_allclose(found.tip_tension, pair.tip_tension, rtol=1e-10)
+    assert np.all(np.isnan(found.error_estimate))
+    np.testing.assert_array_equal(found.status, cddf.Status.successful)
+    on = [cddf.trace(PAIR, PATH[:1], start=each, estimate_error=False).tip_angle for each in (found, pair)]
+    np.testing.assert_allclose(on[0], on[1], rtol=1e-10)
+    assert np.all(np.isnan(cddf.trace(PAIR, PATH[:1], start=found).error_estimate))
+
+
 @pytest.mark.slow
 def test_refined_antagonists_meet_the_table():
     rough, fine = (cddf.trace(PAIR, PATH, short_steps=count).tip_angle for count in (32, 64))

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax
 import numpy as np
 import pytest
 from bodies import fields_at, paper_body
@@ -388,3 +389,35 @@ def test_tip_angles_with_noise_and_a_zero():
         with_angles(shifted)
     assert with_angles(shifted, free=("angle_zero",)).columns == ("tip_angle",)
     assert with_angles(shifted, setting=cddf.BenchSetting(given={"angle_zero": np.radians(-8.0)})).columns
+
+
+@pytest.mark.slow
+def test_rows_that_were_each_pulled_from_rest():
+    """Simulated, each row a `trace` of its own with 16 increments. Without history a part sticks in one row."""
+    angles = 0.11 + 2 * np.pi / 3 * np.arange(3)
+    body = cddf.Manipulator(
+        length=0.2,
+        outer_radius=0.0114,
+        inner_radius=0.003,
+        youngs_modulus=1e6,
+        friction_coefficient=0.3,
+        tendons=[cddf.Tendon(offset=0.0086, angle=angle) for angle in angles],
+    )
+    pulls = np.array([[11.99, 8.0, 3.2], [5.2, 1.0, 1.1], [8.3, 1.2, 6.9], [3.6, 10.6, 1.2], [1.4, 1.1, 9.0]])
+    followed = jax.jit(lambda pull: cddf.trace(body, pull[None], short_steps=16, throw=False))
+    read = [followed(pull) for pull in pulls]
+    names = [f"base_tension{end}" for end in ("", "_2", "_3")]
+    columns = dict(zip(names, pulls.T, strict=True))
+    columns |= {f"tip_{axis}": [float(each.tip_position[0, i]) for each in read] for i, axis in enumerate("xyz")}
+    columns |= {"tip_tension": [float(each.tip_tension[0, 0]) for each in read]}
+    table = cddf.Measurements.from_columns("rows", notes=("simulated",), **columns)
+    noise = {"tip_x": 1e-4, "tip_y": 1e-4, "tip_z": 1e-4, "tip_tension": 0.02, "base_tension": 0.0}
+    start = dataclasses.replace(body, friction_coefficient=0.2, youngs_modulus=1.2e6)
+    found = cddf.fit(start, table, noise=noise)
+    assert found.success
+    assert found.value["friction_coefficient"] == pytest.approx(
+        0.3, abs=3 * found.standard_error["friction_coefficient"]
+    )
+    assert found.value["youngs_modulus"] == pytest.approx(1e6, abs=3 * found.standard_error["youngs_modulus"])
+    assert "each row was followed from rest, with all tensions and tip forces in proportion" in found.warnings
+    assert not cddf.fit(start, table, noise=noise, history=False).success

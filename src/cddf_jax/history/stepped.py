@@ -69,7 +69,7 @@ class SteppedStates(States):
     """The bodies after all steps of a path."""
 
     manipulator: Manipulator
-    passes: Instant  # first axis: fine, with rough elements, with rough increments; second axis: steps
+    passes: Instant  # first axis: fine, and to estimate its error rough elements, rough increments; second axis: steps
     loads: Loads  # after the last step
     num_elements: int = eqx.field(static=True)
 
@@ -89,7 +89,7 @@ class SteppedStates(States):
     def energies(self) -> Energies:
         stored = jax.vmap(partial(stored_in, self.grid))(self.instants)
         # the error of the trapezoidal rule falls with the square of the increment; its part of the work counts as lost
-        fine, _, rough = self.passes.work
+        fine, rough = self.passes.work[0], self.passes.work[-1]
         more = (fine - rough) / 3
         return Energies(fine + more, self.instants.friction_loss + more, stored)
 
@@ -199,7 +199,7 @@ def _given(grid: Grid, path: Path) -> Given:
 
 @partial(jax.jit, static_argnames="kind")
 def stepped_history(manipulator: Manipulator, path: Path, start: SteppedStates | None, kind: Following) -> History:
-    """The history of a path; without an estimate of its error the estimate is the least error.
+    """The history of a path; its error is NaN where it is not estimated.
 
     Args:
         manipulator: the body.
@@ -209,10 +209,11 @@ def stepped_history(manipulator: Manipulator, path: Path, start: SteppedStates |
     """
     wanted = path
     manipulator, path, physical = _checked(manipulator, path)
-    last = None if start is None else jax.tree.map(lambda x: x[:, -1], start.passes)
+    count = 3 if kind.estimated else 1
+    last = None if start is None else jax.tree.map(lambda x: x[:count, -1], start.passes)
     follow = partial(_followed, manipulator, path, kind)
     rough = _Rough(jnp.array([0.0, 1.0, 0.0]), jnp.array([0.0, 0.0, 1.0]))
-    rough = rough if kind.estimated else jax.tree.map(lambda x: x[:1], rough)
+    rough = jax.tree.map(lambda x: x[:count], rough)
     if last is None:
         passes, tips, fronts, crossing = jax.lax.map(lambda rough: follow(None, rough), rough)
     else:
@@ -221,7 +222,8 @@ def stepped_history(manipulator: Manipulator, path: Path, start: SteppedStates |
     instants, tip = jax.tree.map(lambda x: x[0], (passes, tips))
     others = jax.tree.map(lambda x: x[1:], tips)
     apart = jax.vmap(jax.vmap(partial(difference, grid)), (None, 0))(tip, others)
-    error = LEAST_ERROR + SAFETY * jnp.sum(apart, axis=0) + jax.vmap(partial(pushed, grid))(instants, tip)
+    least = LEAST_ERROR if kind.estimated else jnp.nan
+    error = least + SAFETY * jnp.sum(apart, axis=0) + jax.vmap(partial(pushed, grid))(instants, tip)
     good = physical & jnp.all(passes.body.converged, axis=0)
     states = SteppedStates(manipulator, passes, _last(path.loads) or _no_loads(grid), kind.num_elements)
     pulled_in, pull = jax.vmap(grid.pulled_in)(instants.body.nodes), instants.given.base_tension

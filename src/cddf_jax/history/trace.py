@@ -42,6 +42,7 @@ def trace(
     nodes: int = 16,
     max_turns: int = 16,
     short_steps: int = 16,
+    estimate_error: bool = True,
     throw: bool = True,
 ) -> History:
     """Pull and release a manipulator, from rest.
@@ -80,6 +81,8 @@ def trace(
             With several tendons or loads there is no such limit.
         short_steps: into how many increments each step is divided with several tendons or loads, 2 or more; static. A
             path of many steps needs fewer.
+        estimate_error: static. Without it several tendons or loads take a third of the time, `error_estimate` is NaN,
+            and no step is called `inaccurate`. A `start` without an estimate is continued without one.
         throw: raise an error if a step failed, where the values are known.
 
     Raises:
@@ -109,6 +112,7 @@ def trace(
         program = partial(congruent_history, manipulator, values, past, nodes, max_turns, quantity)
     else:
         program = partial(_in_increments, manipulator, base_tension, loads, before, start, nodes, short_steps)
+        program = partial(program, estimate_error)
     try:
         history = program()
     except (TypeError, ValueError):
@@ -176,6 +180,7 @@ def _in_increments(
     start: History | None,
     nodes: int,
     short_steps: int,
+    estimated: bool,
 ) -> History:
     path, driven = given_path(manipulator, base_tension, loads)
     earlier = _earlier(manipulator, before, start, driven)
@@ -189,14 +194,25 @@ def _in_increments(
             "trace: several tendons or loads need 64-bit numbers; jax.config.update('jax_enable_x64', True) first"
         )
     states = None if start is None else start._states
-    kind = Following(driven, ELEMENTS * nodes, short_steps)
+    kind = Following(driven, ELEMENTS * nodes, short_steps, estimated)
     if isinstance(states, SteppedStates):
-        kind = kind._replace(num_elements=states.num_elements)
+        _check_same_points(path.loads, states.loads)
+        kind = kind._replace(num_elements=states.num_elements, estimated=estimated and states.passes.work.shape[0] > 1)
     elif states is not None:
         raise ValueError("trace: start is a history of one tendon without loads; trace it with loads from rest on")
     history = stepped_history(manipulator, path, states, kind)
     history = history if earlier is None else after_first(history)
     return squeezed(history) if manipulator.num_tendons == 1 else history
+
+
+def _check_same_points(loads: Loads | None, before: Loads) -> None:
+    """Refuse other places of point loads than those of the history before, where elements end."""
+    places = [[] if each is None else [point.arc_length for point in each.points] for each in (loads, before)]
+    if len(places[0]) != len(places[1]) or not all(
+        isinstance(one, Tracer) or isinstance(other, Tracer) or np.all(np.asarray(one) == np.asarray(other))
+        for one, other in zip(*places, strict=True)
+    ):
+        raise ValueError("trace: start has point loads at other places; give those that do not act 0 N from rest on")
 
 
 def _earlier(
