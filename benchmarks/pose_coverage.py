@@ -62,11 +62,11 @@ def bench(rng: np.random.Generator) -> cddf.Measurements:
     return cddf.Measurements.from_columns("poses", notes=("simulated",), **columns)
 
 
-def coverage(benches: int, history: bool, estimated: bool) -> dict[str, Any]:
+def coverage(numbers: range, history: bool, estimated: bool) -> dict[str, Any]:
     """Per cent of the intervals that hold the truth."""
     held, errors, lost, named = [], [], 0, 0
     noise = dict.fromkeys(("tip_x", "tip_y", "tip_z"), TRACKER) | ({} if estimated else {"base_tension": CELL})
-    for k in range(benches):
+    for k in numbers:
         fit = cddf.fit(
             body_of(**START),
             bench(np.random.default_rng((SEED, k))),
@@ -99,11 +99,12 @@ def main() -> None:
     """Simulate, print and save."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--benches", type=int, default=200)
+    parser.add_argument("--first", type=int, default=0, help="the number of the first one")
     parser.add_argument("--estimated", action="store_true", help="the noise of the base cells is estimated")
     parser.add_argument("--without", action="store_true", help="fit without history")
     asked = parser.parse_args()
     configure_jax()
-    row = coverage(asked.benches, not asked.without, asked.estimated)
+    row = coverage(range(asked.first, asked.first + asked.benches), not asked.without, asked.estimated)
     name = f"pose_coverage{'_without_history' if asked.without else ''}{'_estimated' if asked.estimated else ''}"
     report(name, markdown(row), {"seed": SEED, "results": row})
 

@@ -23,6 +23,7 @@ MAX_STEPS = 500
 BRIEF = 0.3  # s: after a portion of steps that took longer, the next one is shorter
 LONG = 20.0  # s: a search that took longer says how to stop it
 UNEXPLAINED = 0.9  # of the scatter of the data, left in the residuals: hardly anything is explained
+STALLED = 6  # looks at a search that bring no noteworthy fall of the cost, where the model has kinks: it ends
 CLEARLY = 10.0  # factor between a cost above a limit and what a step promises, where no step brings it below
 SHORTER = 0.25  # factor on the reach after the first step in a row that was not taken
 
@@ -161,6 +162,7 @@ def minimise(
     progress can be shown, and the search can be interrupted. It ends early where the cost is clearly above `closing`.
     """
     watch, reach, steps, known = WATCHED.get() or Watch(), np.array([1.0, SHORTER]), 0, None
+    costs: list[float] = []
     at = np.full(len(z), np.nan) if held is None else held
     with stage("step 1") as here:
         while True:
@@ -175,7 +177,9 @@ def minimise(
             minimum = Minimum(problem, outcome._replace(num_steps=np.asarray(steps)))
             now = time.monotonic()
             watch.saw(minimum, now - begun, first=first, free=held is None)
-            if minimum.is_enough(closing):
+            costs.append(float(outcome.cost))
+            fallen = costs[-STALLED - 1] - costs[-1] if len(costs) > STALLED else np.inf
+            if minimum.is_enough(closing) or fallen < problem.noteworthy * costs[-1]:
                 return minimum.outcome._replace(solved=np.asarray(True))
             if ended or steps >= problem.max_steps or now > watch.deadline:
                 return minimum.outcome

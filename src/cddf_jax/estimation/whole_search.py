@@ -39,6 +39,7 @@ EXPECTED_PART = 0.5  # of the rise that the curvature predicts: with less the va
 MOSTLY_LOST = 0.7  # length of a direction within the parameters that are not identified, of 1
 STEEPEST = 1e-4  # slope of the cost at a minimum, over what residuals and derivatives could make it
 STEEPEST_UNSOLVED = 1e-6  # the same where the optimiser ran out of steps
+FAR = 5.0  # times the accuracy of a model with kinks: a search that stalls farther from a minimum stopped short
 EXACT = 1e-3  # root mean square residual, over the noise, below which the slope is rounding
 BESIDE = 0.1  # standard errors, how far on both sides of a kink the sum of squares has to rise
 
@@ -202,7 +203,7 @@ def is_steep(minimum: Minimum, evidence: Evidence) -> bool:
     """Whether the cost has a slope where the search ended, not counting parameters at a bound."""
     outcome = minimum.outcome
     exact = np.linalg.norm(outcome.residual) <= EXACT * np.sqrt(outcome.residual.size)
-    steepest = max(STEEPEST, np.sqrt(minimum.problem.noteworthy)) if outcome.solved else STEEPEST_UNSOLVED
+    steepest = max(STEEPEST, FAR * np.sqrt(minimum.problem.noteworthy)) if outcome.solved else STEEPEST_UNSOLVED
     return not exact and bool(np.any(slopes(minimum, outcome)[~evidence.at_bound] > steepest))
 
 
