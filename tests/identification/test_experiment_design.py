@@ -169,3 +169,30 @@ def test_a_cheap_candidate_comes_first():
         candidates = [POSITIONS, replace(PULLEY, cost=cost)]
         found = cddf.plan(paper_body("exact"), candidates, criterion="friction_coefficient", num=1)
         assert found.ranking[0].candidate.name == found.chosen[0].candidate.name == first
+
+
+@pytest.mark.slow
+def test_poses_one_after_another_tell_what_their_history_does():
+    """Three tendons in space; the expected errors are those of a fit to the same rows, simulated and without noise."""
+    body = cddf.Manipulator(
+        length=0.2,
+        outer_radius=0.011,
+        inner_radius=0.003,
+        youngs_modulus=1e6,
+        friction_coefficient=0.3,
+        tendons=[cddf.Tendon(offset=0.0085, angle=k * 2 * np.pi / 3) for k in range(3)],
+    )
+    candidate = cddf.standard_candidates(body, 12.0)[-1]
+    assert candidate.name == "tip positions, tendons pulled in turn"
+    first = cddf.plan(body, [candidate], num=1).ranking[0].expected
+    pulls = np.stack([candidate.conditions[name] for name in ("base_tension", "base_tension_2", "base_tension_3")], 1)
+    np.testing.assert_allclose(pulls[[0, 4]], [[12.0, 1.2, 1.2], [1.2, 6.0, 1.2]])
+    tips = cddf.trace(
+        body, pulls, nodes=8, short_steps=4, throw=False
+    ).tip_position  # with the elements and increments of a fit
+    columns = {name: np.asarray(own) for name, own in candidate.conditions.items()}
+    columns |= {f"tip_{axis}": tips[:, i] for i, axis in enumerate("xyz")}
+    table = cddf.Measurements.from_columns("poses", notes=("simulated",), **columns)
+    fit = cddf.fit(body, table, noise=dict(candidate.noise) | {"base_tension": 0.0})
+    for name, error in fit.standard_error.items():
+        assert first.standard_error[name] == pytest.approx(error, rel=1e-3)

@@ -683,7 +683,7 @@ def test_coming_back_down_is_a_candidate(fitted):
     for name in ALL:
         assert expected.standard_error[name] == pytest.approx(fitted.standard_error[name] / np.sqrt(2), rel=1e-6)
     winding = dataclasses.replace(BODY, tendons=(cddf.Tendon(0.010, angle=cddf.Linear(0.0, 1.0, 0.140)),))
-    for body, follows in ((BODY, True), (winding, True), (PAIR, False)):  # a pair takes minutes
+    for body, follows in ((BODY, True), (winding, True), (PAIR, False)):  # a pair is pulled in turn
         names = [candidate.name for candidate in cddf.standard_candidates(body, 85.0)]
         assert ("tip tensions and angles, pulled and come back down" in names) == follows
 

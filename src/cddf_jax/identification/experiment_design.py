@@ -267,9 +267,10 @@ def standard_candidates(manipulator: Manipulator, tension: float, setting: Bench
     """The usual measurements on a bench, six levels each, with the noise of usual instruments.
 
     Args:
-        manipulator: the body; with two tendons or more, one candidate also pulls the second tendon.
+        manipulator: the body; with two tendons or more, one candidate also pulls the second tendon, and in another
+            all are pulled in turn, with what they remember.
         tension: the largest base tension, N.
-        setting: of the bench; with loads in all rows no candidate is a release.
+        setting: of the bench; with loads in all rows a single tendon has no release.
     """
     levels = tension * np.arange(1, 7) / 6
     cell, angle, place = 0.01 * tension, np.radians(1.0), 1e-3
@@ -287,7 +288,7 @@ def standard_candidates(manipulator: Manipulator, tension: float, setting: Bench
             {"tip_tension": cell},
         ),
     ]
-    if manipulator.num_tendons == 1 and setting.loads is None:  # a history without an exact answer takes minutes
+    if manipulator.num_tendons == 1 and setting.loads is None:
         back = {"base_tension": [*levels, *levels[-2::-1]], "step": np.arange(11)}
         read = {"tip_tension": cell, "tip_angle": angle}
         found.append(Candidate("tip tensions and angles, pulled and come back down", back, read))
@@ -295,4 +296,14 @@ def standard_candidates(manipulator: Manipulator, tension: float, setting: Bench
     if manipulator.num_tendons > 1:
         pulled = {"base_tension": levels, "base_tension_2": 0.3 * levels}
         found.append(Candidate("tip tensions, second tendon pulled as well", pulled, {"tip_tension": cell}))
+        found.append(_in_turn(manipulator.num_tendons, tension, dict.fromkeys(axes, place)))
     return found
+
+
+def _in_turn(num_tendons: int, tension: float, noise: Mapping[str, float]) -> Candidate:
+    """Each tendon pulled fully, one after another, and again to one half; the others have a tenth."""
+    pulled = np.full((2 * num_tendons, num_tendons), 0.1 * tension)
+    for row, pull in enumerate([tension] * num_tendons + [0.5 * tension] * num_tendons):
+        pulled[row, row % num_tendons] = pull
+    columns = dict(zip(of_tendons("base_tension", num_tendons), pulled.T.tolist(), strict=True))
+    return Candidate("tip positions, tendons pulled in turn", columns | {"step": np.arange(len(pulled))}, noise)
