@@ -105,7 +105,9 @@ class Minimum(NamedTuple):
         others = np.arange(len(z)) != i
         change = np.zeros(len(z))
         change[i] = space.inverse(i, place) - z[i]
-        change[others] = -np.linalg.lstsq(slope[:, others], slope[:, i] * change[i])[0]
+        rows = slope * change[i]
+        if np.all(np.isfinite(rows)) and change[i] != 0:
+            change[others] = -np.linalg.lstsq(slope[:, others], rows[:, i])[0]
         return z + change
 
     def refit(

@@ -146,7 +146,7 @@ def _vectors(loads: Loads) -> list[Any]:
     return [loads.tip_force, loads.tip_moment, loads.gravity, *points]
 
 
-def _acts(load: Array) -> bool:
+def _acts(load: ArrayLike) -> bool:
     """Whether a load may differ from zero."""
     return isinstance(load, Tracer) or bool(np.any(np.asarray(load) != 0))
 
