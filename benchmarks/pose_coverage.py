@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from loop_coverage import summary
+from scipy.spatial.transform import Rotation
 from table import report
 
 import cddf_jax as cddf
@@ -39,14 +40,6 @@ def body_of(friction_coefficient: float, youngs_modulus: float) -> cddf.Manipula
     )
 
 
-def rotation(vector: np.ndarray) -> np.ndarray:
-    """The matrix of a rotation vector, by Rodrigues."""
-    angle = np.linalg.norm(vector)
-    x, y, z = vector / angle
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
-
-
 def bench(rng: np.random.Generator) -> cddf.Measurements:
     """One simulated table."""
     pulls = np.full((POSES, 3), LOW)
@@ -54,7 +47,7 @@ def bench(rng: np.random.Generator) -> cddf.Measurements:
         pulled = rng.permutation(3)[: rng.integers(1, 3)]
         row[pulled] = rng.uniform(2.0, 14.0, pulled.size)
     history = cddf.trace(body_of(**TRUTH), pulls, nodes=16, short_steps=8, throw=False)
-    turn, place = rotation(rng.normal(size=3)), rng.normal(scale=0.3, size=3)
+    turn, place = Rotation.from_rotvec(rng.normal(size=3)).as_matrix(), rng.normal(scale=0.3, size=3)
     tip = np.asarray(history.tip_position) @ turn.T + place + TRACKER * rng.normal(size=(POSES, 3))
     read = pulls + CELL * rng.normal(size=pulls.shape)
     columns = {f"base_tension{end}": read[:, i] for i, end in enumerate(("", "_2", "_3"))}

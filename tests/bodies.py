@@ -40,6 +40,18 @@ def paper_with(*tendons: cddf.Tendon, kinematics: str = "exact", **changes: Any)
     return replace(paper_body(kinematics), tendons=tendons, **changes)
 
 
+def three_tendon_tube() -> cddf.Manipulator:
+    """A tube of silicone in space, of 200 mm, with tendons 120 degrees apart; friction 0.3 and 1 MPa."""
+    return cddf.Manipulator(
+        length=0.2,
+        outer_radius=0.0114,
+        inner_radius=0.003,
+        youngs_modulus=1e6,
+        friction_coefficient=0.3,
+        tendons=[cddf.Tendon(offset=0.0086, angle=0.11 + k * 2 * np.pi / 3) for k in range(3)],
+    )
+
+
 def two_slanted_tendons(kinematics: str = "exact", **changes: Any) -> cddf.Manipulator:
     """Tapering offsets on both sides, 12 to 9 mm."""
     return paper_body(kinematics, tendon_offset=(0.012, 0.009), num_tendons=2, **changes)

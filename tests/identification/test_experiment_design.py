@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bodies import paper_body
+from bodies import paper_body, three_tendon_tube
 from test_fit import MU, E, closed_form, wrap
 
 import cddf_jax as cddf
@@ -172,16 +172,9 @@ def test_a_cheap_candidate_comes_first():
 
 
 @pytest.mark.slow
-def test_poses_one_after_another_tell_what_their_history_does():
+def test_poses_one_after_another_are_planned_as_they_are_fitted():
     """Three tendons in space; the expected errors are those of a fit to the same rows, simulated and without noise."""
-    body = cddf.Manipulator(
-        length=0.2,
-        outer_radius=0.011,
-        inner_radius=0.003,
-        youngs_modulus=1e6,
-        friction_coefficient=0.3,
-        tendons=[cddf.Tendon(offset=0.0085, angle=k * 2 * np.pi / 3) for k in range(3)],
-    )
+    body = three_tendon_tube()
     candidate = cddf.standard_candidates(body, 12.0)[-1]
     assert candidate.name == "tip positions, tendons pulled in turn"
     first = cddf.plan(body, [candidate], num=1).ranking[0].expected

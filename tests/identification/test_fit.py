@@ -424,6 +424,11 @@ def test_a_tendon_that_slides_out(tip_angle):
     assert_exact(paper_body("exact", friction_coefficient=0.3, youngs_modulus=1e6), table)
 
 
+def test_an_unknown_kind_of_history_is_refused():
+    with pytest.raises(InputError, match=r"fit: history must be True, False, None or 'each', got 'every'"):
+        cddf.fit(PAPER, bench(LEVELS), history="every")
+
+
 def test_rows_whose_fibres_cross_are_reported():
     """Exact kinematics: kappa = T d / (E J), so d kappa reaches 1 at the base at T = E J(0) / d^2 = 1733 N."""
     base = np.geomspace(100.0, 2500.0, 17)  # ..., 1672, 2044, 2500 N

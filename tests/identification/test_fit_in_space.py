@@ -5,7 +5,7 @@ import dataclasses
 import jax
 import numpy as np
 import pytest
-from bodies import fields_at, paper_body
+from bodies import fields_at, paper_body, three_tendon_tube
 from scipy.spatial.transform import Rotation
 
 import cddf_jax as cddf
@@ -101,7 +101,7 @@ def test_a_setting_in_words():
         "marker head: (2, 11, 4) mm from the axis at 80 mm",
     ]
     hung = cddf.BenchSetting(cddf.Loads(points=[cddf.PointLoad(0.06, (0.0, -0.5))]))
-    assert hung.in_words[1] == "load in all rows at 60 mm: 0, -0.5 N and 0 N m"
+    assert hung.in_words[1] == "in all rows a load at 60 mm: (0, -0.5) N and 0 N m"
 
 
 def test_a_rotation_out_of_the_plane_needs_a_body_in_space():
@@ -394,15 +394,7 @@ def test_tip_angles_with_noise_and_a_zero():
 @pytest.mark.slow
 def test_rows_that_were_each_pulled_from_rest():
     """Simulated, each row a `trace` of its own with 16 increments. Without history a part sticks in one row."""
-    angles = 0.11 + 2 * np.pi / 3 * np.arange(3)
-    body = cddf.Manipulator(
-        length=0.2,
-        outer_radius=0.0114,
-        inner_radius=0.003,
-        youngs_modulus=1e6,
-        friction_coefficient=0.3,
-        tendons=[cddf.Tendon(offset=0.0086, angle=angle) for angle in angles],
-    )
+    body = three_tendon_tube()
     pulls = np.array([[11.99, 8.0, 3.2], [5.2, 1.0, 1.1], [8.3, 1.2, 6.9], [3.6, 10.6, 1.2], [1.4, 1.1, 9.0]])
     followed = jax.jit(lambda pull: cddf.trace(body, pull[None], short_steps=16, throw=False))
     read = [followed(pull) for pull in pulls]

@@ -129,6 +129,11 @@ def test_a_lane_whose_load_is_beside_the_body():
             r"loads.points.0.arc_length must have the shape \(\), got \(2,\)",
         ),
         (
+            lambda: cddf.trace(pair(), [TENSION], cddf.Loads(points=[cddf.PointLoad(0.3, FORCE)])),
+            InputError,
+            r"got 300 mm; put the load on the body",
+        ),
+        (
             lambda: cddf.trace(pair(), [TENSION], cddf.Loads(), start=cddf.trace(pair(), [TENSION], POINT)),
             ValueError,
             r"trace: start has point loads at other places; give those that do not act 0 N from rest on",

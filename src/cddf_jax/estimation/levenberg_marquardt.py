@@ -62,9 +62,14 @@ class Minimum(NamedTuple):
         return cost if np.isfinite(cost) else np.inf
 
     def is_enough(self, closing: float) -> bool:
-        """Whether a whole step of Gauss-Newton promises nothing of interest: it stays clearly above a closing cost."""
+        """Whether a search may end here.
+
+        It may where a whole step of Gauss-Newton promises a fall of the cost that does not matter, or leaves the cost
+        clearly above `closing`.
+        """
         problem, outcome = self.problem, self.outcome
-        if not np.isfinite(outcome.cost) or not np.all(np.isfinite(outcome.jacobian)):
+        asked = problem.noteworthy > 0 or np.isfinite(closing)
+        if not asked or not np.isfinite(outcome.cost) or not np.all(np.isfinite(outcome.jacobian)):
             return False
         basis, _ = np.linalg.qr(outcome.jacobian[:, np.any(outcome.jacobian, axis=0)])  # those that are held are 0
         promised = np.sum((basis.T @ problem.influence(outcome.residual)) ** 2)
@@ -180,13 +185,17 @@ def minimise(
             now = time.monotonic()
             watch.saw(minimum, now - begun, first=first, free=held is None)
             costs.append(float(outcome.cost))
-            fallen = costs[-STALLED - 1] - costs[-1] if len(costs) > STALLED else np.inf
-            if minimum.is_enough(closing) or fallen < problem.noteworthy * costs[-1]:
+            if minimum.is_enough(closing) or _has_stalled(costs, problem.noteworthy):
                 return minimum.outcome._replace(solved=np.asarray(True))
             if ended or steps >= problem.max_steps or now > watch.deadline:
                 return minimum.outcome
             if SHOWN.get():
                 here.what = watch.in_words(minimum) if held is None else minimum.in_words
+
+
+def _has_stalled(costs: Sequence[float], noteworthy: float) -> bool:
+    """Whether the last looks at a search brought no noteworthy fall of the cost; never for a model without kinks."""
+    return noteworthy > 0 and len(costs) > STALLED and costs[-STALLED - 1] - costs[-1] < noteworthy * costs[-1]
 
 
 def minimise_all(problem: LeastSquaresProblem, z: np.ndarray, data: Data) -> Outcome:

@@ -144,9 +144,8 @@ class BodyPlot:
             self.sources[name].data = _arrow_data(*arrows)
         self.figure.title.text = f"longest arrow {greatest:.4g} N/m"
         loads = Loads() if picture.case.loads is None else picture.case.loads
-        none = np.zeros((0, 2))
-        force, *_ = *force_lines(body, loads, length), none  # the sliders load the tip only
-        turn, *_ = *moment_lines(body, loads, length), none
+        none = np.zeros((0, 2))  # the sliders load the tip only: there is one line of each or none
+        force, turn = (next(iter(lines(body, loads, length)), none) for lines in (force_lines, moment_lines))
         self.sources["force"].data = _arrow_data(force[:1], force[-1:])
         self.sources["moment"].data = _xy(turn)
         self.sources["turn"].data = _arrow_data(turn[-2:-1], turn[-1:])

@@ -300,6 +300,9 @@ def fit(
         return _without_contradicted(partial(fit, manipulator, tables, free, **given))
     with within("fit"):
         tables, left_out = without(tables, leave_out)
+    if history not in (None, True, False, EACH):
+        raise InputError(f"fit: history must be True, False, None or {EACH!r}, got {history!r}")
+    followed = True if history == EACH else history
     if history == EACH:
         tables = tuple(table if "pulling_tension" in table else table.row_by_row() for table in tables)
     own = [tendon.friction_coefficient is not None for tendon in manipulator.tendons]
@@ -315,7 +318,7 @@ def fit(
     with within("fit"):
         noise, of_base = _split(noise or {}, tables)
         courses, guesses = _courses(
-            manipulator, tables, history and True, before, free, of_base, short_steps, loaded=setting.loads is not None
+            manipulator, tables, followed, before, free, of_base, short_steps, loaded=setting.loads is not None
         )
     experiments = (
         bench.experiment_of(table, manipulator, int(first), course and course[0], setting, free=free)

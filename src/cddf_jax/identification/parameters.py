@@ -18,7 +18,7 @@ from ..errors import InputError
 from ..measurements.markers import Marker
 from ..numerics.given_numbers import check_numbers
 from ..quantities import dimension_of
-from ..robot.loads import Loads, loads_as_dict
+from ..robot.loads import Loads, loads_as_dict, point_in_words
 from ..robot.manipulator import Manipulator
 from ..robot.profiles import shifted
 from ..units import Dimension, shown, si_unit
@@ -191,12 +191,10 @@ class BenchSetting:
         """The setting in words, one line for each entry."""
         lines = [f"{name} = {shown(value, parameter_named(name).dimension)}" for name, value in self.given.items()]
         if self.loads is not None:
-            loads = self.loads
-            force, moment, gravity = map(_numbers, (loads.tip_force, loads.tip_moment, loads.gravity))
+            own = self.loads.tip_force, self.loads.tip_moment, self.loads.gravity
+            force, moment, gravity = (", ".join(f"{x:.5g}" for x in np.atleast_1d(value)) for value in own)
             lines.append(f"loads in all rows: tip force {force} N, tip moment {moment} N m, gravity {gravity} m/s^2")
-            for point in loads.points:
-                place, own, turn = shown(point.arc_length, "length"), _numbers(point.force), _numbers(point.moment)
-                lines.append(f"load in all rows at {place}: {own} N and {turn} N m")
+            lines += [f"in all rows a {point_in_words(point)}" for point in self.loads.points]
         return lines + [f"marker {name}: {marker}" for name, marker in self.markers.items()]
 
     def as_dict(self) -> dict[str, object]:
@@ -204,10 +202,6 @@ class BenchSetting:
         loads = None if self.loads is None else loads_as_dict(self.loads)
         markers = {name: marker._asdict() for name, marker in self.markers.items()}
         return {"loads": loads, "markers": markers, "given": dict(self.given)}
-
-
-def _numbers(values: ArrayLike) -> str:
-    return ", ".join(f"{x:.5g}" for x in np.atleast_1d(values))
 
 
 PLAIN = BenchSetting()

@@ -8,7 +8,7 @@ from jaxtyping import ArrayLike
 from ..files.manipulator_file import RobotFile
 from ..files.writing import as_json, picked
 from ..quantities import dimension_of
-from ..robot.loads import Loads, loads_as_dict
+from ..robot.loads import Loads, loads_as_dict, point_in_words
 from ..statics.contact import self_contact
 from ..statics.equilibrium import Equilibrium
 from ..statics.equilibrium_text import last_lines, strain_line, tendon_lines, tip_line
@@ -89,10 +89,7 @@ def _loads_in_words(loads: Loads, equilibrium: Equilibrium) -> list[str]:
     return [
         f"loads: tip force {force} N, tip moment {_moment(loads.tip_moment)}, gravity {gravity} m/s^2; "
         f"put on in {steps} step{'s' if steps > 1 else ''}",
-        *(
-            f"load at {shown(point.arc_length, 'length')}: {_numbers(point.force)} N and {_moment(point.moment)}"
-            for point in loads.points
-        ),
+        *map(point_in_words, loads.points),
         f"moment of the loads at the base: {_moment(equilibrium.base_moment)}",
     ]
 

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..units import shown
 from .profiles import Number, as_number
 
 
@@ -101,6 +102,13 @@ def loads_as_dict(loads: Loads) -> dict[str, object]:
 def gravity_in_words(gravity: object) -> str:
     """ "gravity (0, -9.81) m/s^2"."""
     return f"gravity ({', '.join(f'{x:.5g}' for x in np.asarray(gravity))}) m/s^2"
+
+
+def point_in_words(point: PointLoad) -> str:
+    """ "load at 60 mm: (0, -1) N and 0.1 N m"."""
+    force, moment = (", ".join(f"{x:.5g}" for x in np.atleast_1d(each)) for each in (point.force, point.moment))
+    moment = f"({moment})" if np.ndim(point.moment) else moment
+    return f"load at {shown(float(np.asarray(point.arc_length)), 'length')}: ({force}) N and {moment} N m"
 
 
 def loads_in_space(loads: Loads) -> Loads:

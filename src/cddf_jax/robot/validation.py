@@ -68,7 +68,7 @@ def check_loads(manipulator: Manipulator, loads: Loads | None) -> None:
         known = not isinstance(place, Tracer) and not isinstance(length, Tracer)
         if known and not np.all((np.asarray(place) > 0) & (np.asarray(place) <= np.asarray(length))):
             what = f"loads.points.{number}: arc_length must lie above 0 and up to the tip at {_mm(length)}"
-            raise InputError(f"{what}, got {_mm(place)}; put the load on the body")
+            raise InputError(f"{what}, got {_mm(np.max(np.asarray(place)))}; put the load on the body")
     if loads is None or isinstance(loads.gravity, Tracer) or not np.any(np.asarray(loads.gravity)):
         return
     if not manipulator.has_mass:
