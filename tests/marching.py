@@ -97,10 +97,13 @@ def _march(problem: Problem, steps: int) -> tuple[State, tuple[State, State]]:
         return State(growth, kappa, moment_rate, force_rate, None, jnp.abs(turning), axis_of(state.heading))
 
     def element(state, inputs):
-        joint, drop, start, end, stops = inputs
-        turn, ratio = (0.0, state.ratio) if joint is None else turn_at_joint(problem, joint, state)
-        state = state._replace(pull=state.pull._replace(ratio=ratio), wrap_angle=state.wrap_angle + turn)
-        state = state if drop is None else state._replace(force=state.force - drop)
+        joint, drops, start, end, stops = inputs
+        arriving = state
+        if drops is not None:
+            state = state._replace(force=state.force - drops.force, moment=state.moment - drops.moment)
+        if joint is not None:
+            turn, ratio = turn_at_joint(problem, joint, arriving, state)
+            state = state._replace(pull=state.pull._replace(ratio=ratio), wrap_angle=state.wrap_angle + turn)
 
         def inside(state, arc_length):  # stay on this element's side of its edges
             return rate(state, jnp.clip(arc_length, start + nudge, end - nudge))
