@@ -63,6 +63,7 @@ _ALL = (
     Quantity("clearance", "length", "clearance of the tendons to both sides of the wall"),
     Quantity("end", "length"),
     Quantity("free_length", "length"),
+    Quantity("outside_compliance", "compliance", "compliance of the tendon outside the body"),
     Quantity("youngs_modulus", "pressure", title="Young's modulus"),
     Quantity("stiffness_factor", "dimensionless"),
     Quantity("axial_factor", "dimensionless", "factor on the axial stiffness"),

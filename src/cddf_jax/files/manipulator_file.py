@@ -23,6 +23,7 @@
     drag = "0.2 N/m"                     # optional, the manipulator's unless given
     axial_stiffness = "12 kN"            # optional, E A of the tendon, which does not stretch unless given
     free_length = "300 mm"               # optional, 0 unless given: outside the body, up to the actuator
+    outside_compliance = "0.02 mm/N"     # optional, free_length / axial_stiffness unless given
 
     [[point_mass]]                       # one such table per disc, camera or magnet, if there are any
     at = "140 mm"                        # arc length
@@ -102,7 +103,7 @@ _NUMBERS = (
     *("stiffness_factor", "axial_factor", "shear_factor"),
 )
 _TENDON_PROFILES = ("offset", "angle")
-_TENDON_NUMBERS = ("end", "friction_coefficient", "axial_stiffness", "free_length", "drag")
+_TENDON_NUMBERS = ("end", "friction_coefficient", "axial_stiffness", "free_length", "outside_compliance", "drag")
 _REQUIRED = ("length", *_RADII, "youngs_modulus", "friction_coefficient", "tendons")
 _SWITCHES = ("extensible", "offsets_outside_wall")
 _OTHERS = ("kinematics", "rest_curvature", "gravity", *_SWITCHES, "name", "description", "point_mass", "cross_sections")

@@ -60,7 +60,7 @@ class Tip(NamedTuple):
 def slid_up_to(body: Manipulator, nodes: int, tension: Number, direction: Number, front: Number) -> Slid:
     """The equilibrium between the base and a front."""
     found = solve(cut_at(body, front), tension, direction=direction, nodes=nodes, throw=False)
-    outside = jnp.sum(tension * body.tendon_compliance * body.tendon_free_length)
+    outside = jnp.sum(tension * body.tendon_outside_compliance)
     solved = found._dense.solved
     # the status compares the direction with the travel from rest, which does not matter here
     status = jnp.where(found.status == Status.direction_contradicted, Status.successful, found.status)

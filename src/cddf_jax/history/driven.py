@@ -133,7 +133,7 @@ def _gain(
     outside = 0.0
     if quantity == "displacement":
         values = own.added.pulled_in, other.added.pulled_in
-        outside = (tension - turned_at) * jnp.sum(body.tendon_compliance * body.tendon_free_length)
+        outside = (tension - turned_at) * jnp.sum(body.tendon_outside_compliance)
     return Gained(outside + values[0] - jnp.where(from_rest, 0.0, values[1]), None)
 
 

@@ -120,7 +120,7 @@ def _motion_in_space(
     The length x that is pulled in follows from equilibria. As a function of T it has a kink where the front reaches the
     tip, and nearly one where the turning of the tendon has a sharp minimum.
     """
-    compliance = jnp.sum(body.tendon_compliance * body.tendon_free_length)
+    compliance = jnp.sum(body.tendon_outside_compliance)
 
     def since_turn(tension: Number) -> WorkAndLoss:
         """The length pulled in, m, and the energy stored, J."""
@@ -239,6 +239,6 @@ def _rates(body: Manipulator, nodes: int, direction: Number, tension: Number, ar
         return slipped(planar(section), kappa, local, body.tendon_compliance)[..., 0], local[..., 0]
 
     (_, local), (growth, _) = jax.jvp(pulled_in_rate, (slide,), (by_tension,))
-    outside = jnp.sum(body.tendon_compliance * body.tendon_free_length)
+    outside = jnp.sum(body.tendon_outside_compliance)
     taken = tension * (jnp.sum(cut.gain(growth)) + outside)
     return jnp.stack([taken, jnp.sum(cut.gain((tension - local) * growth))])

@@ -138,7 +138,7 @@ def cut_into_elements(
         ((behind + ahead) / 2).ravel(),
         ahead.ravel(),
         compliance,
-        compliance * manipulator.tendon_free_length,
+        manipulator.tendon_outside_compliance,
     )
     # where tendons that do not stretch rest together, their tensions are those of equal, very stiff tendons
     stiffest = STIFFEST * grid.softness / grid.places[-1]

@@ -119,7 +119,7 @@ def congruent_history(
     good = added.solved & usable
     if drive is not None and quantity == "tip_angle" and body.in_space:
         drive = _as_reached(drive, jax.vmap(tilt_of)(added.heading) - wanted)
-    outside = path[-num_steps:] * jnp.sum(body.tendon_compliance * body.tendon_free_length)
+    outside = path[-num_steps:] * jnp.sum(body.tendon_outside_compliance)
     numbers = tip.tension, added.heading, added.position, added.pulled_in + outside, added.error
     tension, heading, position, pulled_in, error = jax.vmap(nan_unless)(good, numbers)
     still_open = turns.open[-1]
@@ -180,7 +180,7 @@ def _path(
     headings = jax.vmap(lambda zero: pose_of_base(body, zero)[0])(values)
     if known.size > 0:
         added = follow(body, nodes, known, turns)[1].added
-        outside = known * jnp.sum(body.tendon_compliance * body.tendon_free_length)
+        outside = known * jnp.sum(body.tendon_outside_compliance)
         reached = jax.vmap(tilt_of)(added.heading) if quantity == "tip_angle" else added.pulled_in + outside
         tensions, values, headings = known[stack.step], reached[stack.step], added.heading[stack.step]
     drive, more = driven(body, nodes, quantity, wanted, stack, tensions, values, headings, known.size)

@@ -4,7 +4,6 @@ import jax
 import jax.numpy as jnp
 
 from ..robot.cross_section import AnySection
-from .bending import stretch_rate
 from .friction import PerTendon
 from .kinks import tensions_along
 from .problem import Number, Problem, State
@@ -27,5 +26,5 @@ def tendon_displacement(problem: Problem, state: State) -> PerTendon:
         rates = slip(section, strain, tensions.branches, body.tendon_compliance)
         return tensions.totals(width, rates)[1]
 
-    outside = stretch_rate(body.tendon_compliance, problem.base_tension) * body.tendon_free_length
+    outside = problem.base_tension * body.tendon_outside_compliance
     return jnp.sum(jax.vmap(gain)(problem.elements.width, problem.nodes, state), axis=0) + outside

@@ -67,6 +67,8 @@ class Tendon(eqx.Module):
         friction_coefficient: its own mu; None for the manipulator's.
         axial_stiffness: E A of the tendon, N; None for a tendon that does not stretch.
         free_length: length of the tendon between body and actuator, m, which stretches as well.
+        outside_compliance: how far the tendon gives way between body and actuator, m/N, with all that it pulls on; None
+            for free_length / axial_stiffness.
         drag: its own w, N/m; None for the manipulator's.
         angle: around the axis, profile or number, rad, from y to z of the cross-section: a helix is `Linear`. None for
             a tendon in the plane, at 0 on side +1 and at pi on side -1. A body is in space where a tendon has an angle.
@@ -81,6 +83,7 @@ class Tendon(eqx.Module):
     friction_coefficient: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
     axial_stiffness: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
     free_length: Scalar = eqx.field(default=0.0, converter=as_number)
+    outside_compliance: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
     drag: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
     angle: Profile | None = eqx.field(default=None, converter=_as_optional_profile)
 
@@ -297,9 +300,13 @@ class Manipulator(eqx.Module):
         return jnp.stack([rigid if EA is None else 1.0 / jnp.asarray(EA) for EA in stiffness])
 
     @property
-    def tendon_free_length(self) -> Float[Array, " tendons"]:
-        """The length of each tendon outside the body, m."""
-        return jnp.stack([jnp.asarray(tendon.free_length) for tendon in self.tendons])
+    def tendon_outside_compliance(self) -> Float[Array, " tendons"]:
+        """How far each tendon gives way between body and actuator, m/N."""
+        own = (tendon.outside_compliance for tendon in self.tendons)
+        stretching = [
+            strain * jnp.asarray(t.free_length) for strain, t in zip(self.tendon_compliance, self.tendons, strict=True)
+        ]
+        return jnp.stack([free if C is None else jnp.asarray(C) for free, C in zip(stretching, own, strict=True)])
 
     def offset(self, arc_length: Points) -> Float[Array, "tendons *points"]:
         """The offset d of each tendon, m."""
@@ -531,7 +538,7 @@ _TOLD_PROFILES = (
 _STRAINS = ("twist", "about y", "about z")
 _TOLD_IF_ZERO = ("friction_coefficient", "poissons_ratio")
 _TOLD_MATERIAL = ("youngs_modulus", "stiffness_factor", "friction_coefficient", "density", "drag", "yield_strain")
-_TOLD_OF_TENDON = ("friction_coefficient", "end", "axial_stiffness", "free_length", "drag")
+_TOLD_OF_TENDON = ("friction_coefficient", "end", "axial_stiffness", "free_length", "outside_compliance", "drag")
 
 
 def _in_words(manipulator: Manipulator) -> str:

@@ -242,7 +242,7 @@ def is_physical(
         & (True if manipulator.tendon_drag is None else jnp.all(manipulator.tendon_drag >= 0))
         & _has_physical_points(manipulator, problem)
         & jnp.all(jnp.isfinite(manipulator.tendon_compliance) & (manipulator.tendon_compliance >= 0))
-        & jnp.all(manipulator.tendon_free_length >= 0)
+        & jnp.all(manipulator.tendon_outside_compliance >= 0)
         & jnp.all(base_tension >= 0)
         & jnp.all(jnp.abs(direction) == 1)
     )

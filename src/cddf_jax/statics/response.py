@@ -227,7 +227,7 @@ def _stage(setup: Setup, base_tension: PerTendon) -> _Stage:
     kappa = strain_along(section, base_tension, solution.nodes)
     body = problem.manipulator
     stretching = jnp.sum(tension * stretch_rate(body.tendon_compliance, tension, section), axis=-1)
-    outside = jnp.sum(base_tension * stretch_rate(body.tendon_compliance, base_tension) * body.tendon_free_length)
+    outside = jnp.sum(base_tension * base_tension * body.tendon_outside_compliance)
     return _Stage(
         displacement=tendon_displacement(problem, solution.nodes),
         elastic_energy=jnp.sum(cut.gain(section.stiffness * kappa**2 + stretching)) / 2 + outside / 2,
