@@ -217,7 +217,7 @@ def test_a_direction_is_compared_with_the_order():
     course_of(table(direction=way))
     way[20] = 1.0
     message = (
-        r"bench: row 21, column direction: is 1, but base_tension falls there from 70 to 65 N; correct the label or "
+        r"bench: row 21, column direction: is 1, but base_tension falls there from 70 N to 65 N; correct the label or "
         r"the order of the rows, or give history=False \(--no-history\)"
     )
     with pytest.raises(InputError, match=message):
@@ -348,7 +348,7 @@ def test_a_first_row_may_be_a_release():
     down = released(direction=[-1, -1, 1, 1, 1, 1, -1, -1, -1, -1])
     for start in (Start((60.0,)), Start((None,), ("before",))):
         course_of(down, starts=[start])
-    with pytest.raises(InputError, match="row 1, column direction: is -1, but base_tension rises there from 0 to 40 N"):
+    with pytest.raises(InputError, match="row 1, column direction: is -1, but base_tension rises there from 0 N to 40 N"):
         course_of(down)
 
 

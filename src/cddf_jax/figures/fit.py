@@ -19,7 +19,7 @@ from ..identification import predictions as diagnostics
 from ..identification.bench import Bench, Group
 from ..identification.fit import Fit
 from ..identification.parameters import parameter_named
-from ..measurements.readings import kind_of
+from ..measurements.readings import kind_of, kind_of_set, set_by
 from ..quantities import QUANTITIES, dimension_of
 from ..units import preferred
 from . import looks, style as draw
@@ -181,12 +181,15 @@ def _panel_of(who: str, fit: Fit, table: str | None, column: str | None) -> _Pan
     scale, unit = preferred(dimension_of(kind))
 
     def scaled(model: diagnostics.ModelCurve) -> diagnostics.ModelCurve:
-        return model._replace(value=scale * model.value, half_width=scale * model.half_width)
+        return diagnostics.ModelCurve(size * model.grid, scale * model.value, scale * model.half_width)
 
     # " 2" of tendon 2, " at head" of a marker
     number = f" at {column.partition('@')[2]}" if "@" in column else column.removeprefix(kind).replace("_", " ")
     words, observed, residual = f"{QUANTITIES[kind].label}{number} ({unit})", scale * observed, scale * residual
-    over_base = _Panel(rows["base_tension"][there], observed, residual, "Base tension (N)", words, unit, label)
+    own = set_by(rows.columns)[0]
+    size, own_unit = preferred(dimension_of(own_kind := kind_of_set(own)))
+    x_label = f"{QUANTITIES[own_kind].label} ({own_unit})"
+    over_base = _Panel(size * rows[own][there], observed, residual, x_label, words, unit, label)
     if curve is not None:
         return over_base._replace(curve=scaled(curve))
     half = scale * diagnostics.half_width(fit, group)

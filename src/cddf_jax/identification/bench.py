@@ -19,9 +19,10 @@ from jaxtyping import Array, Float, Int
 
 from ..errors import InputError, within
 from ..history.history import History
+from ..measurements.columns import is_reading
 from ..measurements.left_out import numbered
 from ..measurements.markers import Marker, marker_column, marker_positions, markers_of, seen
-from ..measurements.readings import NAMED, READINGS, columns_of, kind_of, of_tendons, tendon_number
+from ..measurements.readings import NAMED, READINGS, columns_of, kind_of, of_tendons, set_by, tendon_number
 from ..measurements.table import Measurements
 from ..mechanics.capstan import pulling_tension
 from ..progress import stage
@@ -33,7 +34,7 @@ from ..statics.equilibrium import Equilibrium
 from ..statics.solve import solve
 from ..units import shown
 from .course import Course, Shown, tip_forces
-from .parameters import PARAMETERS, PLAIN, TRIALS, BenchSetting, Parameters, turn_of, with_deviation, with_parameters
+from .parameters import PLAIN, TRIALS, BenchSetting, Parameters, of_tendons_in, turn_of, with_deviation, with_parameters
 
 LANES = 128  # rows are solved in multiples of this number, so that tables and curves share compiled programs
 FEW = 16  # the same where rows are solved one by one
@@ -106,7 +107,7 @@ class AllRows(eqx.Module):
 class Bench(eqx.Module):
     """Rows of one table of a manipulator, or of levels to predict at."""
 
-    base_tension: Float[np.ndarray | Array, "rows tendons"]  # as read
+    actuation: Float[np.ndarray | Array, "rows tendons"]  # as read: base tensions, N, or displacements, m
     direction: tuple[Float[np.ndarray | Array, " rows"] | None, ...]  # one per tendon, None where it is to be found
     tip_force: Float[np.ndarray | Array, "rows components"] | None = None
     trial: Int[np.ndarray | Array, " rows"] | None = None  # the index of the trial, for its deviation of friction
@@ -121,10 +122,10 @@ class Bench(eqx.Module):
     def on_one_curve(self) -> bool:
         """Whether the rows lie on one curve: that of a body without loads whose only tendon is pulled in."""
         free = self.tip_force is None and self.setting.loads is None
-        if not free or self.base_tension.shape[1] > 1:
+        if not free or self.actuation.shape[1] > 1:
             return False
         if self.course is not None:
-            return not self.course.turns
+            return not self.course.turns and not any(self.course.by_length)
         return not any(np.any(np.asarray(stated) < 0) for stated in self.direction if stated is not None)
 
     def components(self, manipulator: Manipulator) -> int:
@@ -152,18 +153,23 @@ class Bench(eqx.Module):
         by_trial = self.trial is not None and TRIALS in parameters
         deviation = jnp.asarray(parameters[TRIALS])[self.trial] if by_trial else None
         if self.course is not None:
-            tension = _true_tension(parameters, self.course.path(parameters))
+            course, readings = self.course, self.course.path(parameters)
+            tension = _true_tension(parameters, readings)
+            if any(course.by_length):
+                displacement = course.true_displacement(parameters, readings)
+                tension = jnp.where(np.array(course.by_length), displacement, tension)
             of_trial = None if deviation is None else deviation[self.course.first_row]
             loads_with = partial(self.setting.loads_with, parameters=parameters, components=components)
             body = in_space(body) if components == 3 else body
-            return self.course.trace(body, tension, loads_with, self.setting.markers_on, of_trial, nodes)
-        tension = _true_tension(parameters, jnp.asarray(self.base_tension))
+            return course.trace(body, tension, loads_with, self.setting.markers_on, of_trial, nodes)
+        tension = _true_tension(parameters, jnp.asarray(self.actuation))
 
         def one(tension, direction, force, deviation):
             loads = self.setting.loads_with(force, parameters, components)
             here = with_deviation(body, deviation)
             found = solve(here, tension, loads, direction=direction, nodes=nodes, throw=False)
             return Shown(
+                found.tendon_displacement,
                 found.tip_tension,
                 found.tip_angle,
                 found.tip_position,
@@ -191,10 +197,12 @@ class Bench(eqx.Module):
         kind = READINGS[kind_of(column)]
         values = kind.of(shown)
         if kind.by_cell:
-            gain, zero = (_of_cells(parameters, name, values) for name in ("tip_gain", "tip_zero"))
+            gain, zero = (of_tendons_in(parameters, name, values.shape[-1]) for name in ("tip_gain", "tip_zero"))
             values = gain * (values - parameters.get("pretension", 0.0)) + zero
         if kind.zero:
-            values = values + parameters.get(kind.zero, 0.0)
+            each = kind.per_tendon
+            zero = of_tendons_in(parameters, kind.zero, values.shape[-1]) if each else parameters.get(kind.zero, 0.0)
+            values = values + zero
         if marker := marker_column(column):
             return values[..., self.setting.marker_names.index(marker[1])]
         return values[..., tendon_number(column) - 1] if kind.per_tendon else values
@@ -213,24 +221,24 @@ class Bench(eqx.Module):
         """
         if self.course is not None:
             return self.course.along
-        return np.eye(self.base_tension.shape[1])[:, None]
+        return np.eye(self.actuation.shape[1])[:, None]
 
     def _shifted(self, shift: Array, along: np.ndarray | Array) -> "Bench":
         """With base readings that are larger by `shift` along each direction."""
         more = jnp.tensordot(shift, along, 1)
         if self.course is None:
-            return replace(self, base_tension=self.base_tension + more, name=self.name)
+            return replace(self, actuation=self.actuation + more, name=self.name)
         return replace(self, course=replace(self.course, readings=self.course.readings + more))
 
     def evaluate(self, manipulator: Manipulator, parameters: Parameters, nodes: int) -> Evaluation:
         """Every reading of every row with its derivatives, whether it was read or not."""
-        rows = self.base_tension.shape[0]
+        rows = self.actuation.shape[0]
         fill = -rows % (FEW if self.one_by_one(manipulator) else LANES)
 
         def padded(arrays):
             return jax.tree.map(lambda x: np.pad(x, ((0, fill), *[(0, 0)] * (np.ndim(x) - 1)), mode="edge"), arrays)
 
-        own = padded((self.base_tension, self.direction, self.tip_force, self.trial))
+        own = padded((self.actuation, self.direction, self.tip_force, self.trial))
         course = self.course
         if course is not None:
             trial, step = padded((course.trial, course.step))
@@ -243,15 +251,8 @@ class Bench(eqx.Module):
 
 def _true_tension(parameters: Parameters, readings: Array) -> Array:
     """Base tensions, N, from what the cells read; tendons last."""
-    gain, zero = (_of_cells(parameters, name, readings) for name in ("base_gain", "base_zero"))
+    gain, zero = (of_tendons_in(parameters, name, readings.shape[-1]) for name in ("base_gain", "base_zero"))
     return jnp.maximum((readings - zero) / gain + parameters.get("pretension", 0.0), 0.0)
-
-
-def _of_cells(parameters: Parameters, name: str, readings: Array) -> Array:
-    """A parameter of the cells, one per tendon: `base_gain` for all of them, or `base_gain_2` for that of tendon 2."""
-    common = parameters.get(name, PARAMETERS[name].start)
-    tendons = range(1, readings.shape[-1] + 1)
-    return jnp.stack([jnp.asarray(parameters.get(f"{name}_{i}", common)) for i in tendons])
 
 
 @eqx.filter_jit
@@ -362,7 +363,7 @@ def experiment_of(
         found = markers_of(columns, {**setting.markers, **table.markers}, float(np.asarray(manipulator.length)))
         force = tip_forces(table)
         bench = Bench(
-            np.stack([table[column] for column in of_tendons("base_tension", manipulator.num_tendons)], axis=1),
+            np.stack([table[column] for column in set_by(table.columns)], axis=1),
             tuple(map(table.columns.get, of_tendons("direction", manipulator.num_tendons))),
             force if np.any(force) else None,
             first_trial + table.trial if "trial" in table else None,
@@ -400,7 +401,7 @@ def _check_tip_angles(table: Measurements, bench: Bench, *, zero_is_free: bool) 
     angle = np.asarray(table["tip_angle"]) - float(bench.setting.given.get("angle_zero", 0.0))
     noise, zero = min(ANGLE_NOISE, ANGLE_SHARE * np.nanmax(np.abs(angle))), 0.0
     if zero_is_free:  # the reading nearest to rest shows it
-        zero = min(np.nan_to_num(angle[np.argmin(np.sum(bench.base_tension, axis=1))]), 0.0)
+        zero = min(np.nan_to_num(angle[np.argmin(np.sum(bench.actuation, axis=1))]), 0.0)
     bad = np.flatnonzero((angle > np.pi) | (angle < zero - noise))
     if bad.size:
         got, more = shown(table["tip_angle"][bad[0]], "angle"), f" (and {bad.size - 1} more)" if bad.size > 1 else ""
@@ -418,10 +419,12 @@ def _check_tip_angles(table: Measurements, bench: Bench, *, zero_is_free: bool) 
 
 def _observed(table: Measurements, num_tendons: int) -> list[str]:
     """The columns that a fit explains."""
-    for column in of_tendons("base_tension", num_tendons):
-        if column not in table:
-            raise InputError(f"no column {column!r}; a manipulator of {num_tendons} tendons needs it")
-    columns = [column for column in table.columns if kind_of(column)]
+    given = set_by(table.columns)
+    if len(given) < num_tendons:
+        lacking = of_tendons("base_tension", num_tendons)[len(given)]
+        remedy = f"add it, or {lacking.replace('base_tension', 'displacement')}"
+        raise InputError(f"no column {lacking!r}; a manipulator of {num_tendons} tendons needs it; {remedy}")
+    columns = [column for column in table.columns if kind_of(column) and is_reading(column, table.columns)]
     if not columns:
         raise InputError("nothing observed; add a column tip_tension [N], tip_angle [deg] or tip_x [mm]")
     for column in table.columns:

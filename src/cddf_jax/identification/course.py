@@ -1,9 +1,10 @@
-"""The course of a table: its base tensions in the order in which they were measured, as one path for each trial.
+"""The course of a table: what was set in the order in which it was measured, as one path for each trial.
 
 Each trial starts from rest, a straight body whose tendon never had a tension, unless its `Past` says otherwise.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -19,10 +20,14 @@ from ..history.stepped import Following, stepped_history
 from ..history.trace import trace
 from ..measurements.holds import NO_STEP
 from ..measurements.jitter import Steady, without_jitter
+from ..measurements.readings import kind_of, kind_of_set, set_by
 from ..measurements.table import Measurements
+from ..quantities import dimension_of
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
-from .parameters import with_deviation
+from ..statics.targets import Displacement
+from ..units import shown
+from .parameters import of_tendons_in, with_deviation
 from .tension_before import REST, Past, Start, past_of
 
 STEPS = 16  # paths are traced in multiples of this number, so that tables share compiled programs
@@ -42,21 +47,22 @@ MarkersOn = Callable[[History], Float[Array, "steps markers components"] | None]
 class Shown(NamedTuple):
     """What instruments without errors show of bodies; the axis of rows comes first."""
 
+    tendon_displacement: Float[Array, "rows tendons"]
     tip_tension: Float[Array, "rows tendons"]
     tip_angle: Float[Array, " rows"]
     tip_position: Float[Array, "rows components"]
     status: Int[Array, " rows"]
-    direction_contradicted: Bool[Array, "rows tendons"]
+    direction_contradicted: Bool[Array, "rows tendons"] | None  # None along a path, which contradicts nothing
     markers: Float[Array, "rows markers components"] | None = None
 
 
 class Course(eqx.Module):
-    """Paths of base tensions, and which step of which path each row of a table is.
+    """Paths of base tensions or displacements, and which step of which path each row of a table is.
 
     One tendon without loads has an exact answer. Others are followed in increments.
     """
 
-    readings: Float[np.ndarray | Array, "trials steps tendons"]  # N, as read, without jitter; the last one is repeated
+    readings: Float[np.ndarray | Array, "trials steps tendons"]  # N or m, as read, without jitter; the last is repeated
     trial: Int[np.ndarray | Array, " rows"]  # 0, 1, ... in the order of the paths
     step: Int[np.ndarray | Array, " rows"]
     first_row: Int[np.ndarray | Array, " trials"]  # a row of each trial
@@ -65,10 +71,12 @@ class Course(eqx.Module):
     tip_force: Float[np.ndarray | Array, "trials steps components"] | None = None  # N
     force_stays: bool = eqx.field(default=False, static=True)  # whether it is constant, and acts before the first step
     short_steps: int | None = eqx.field(default=None, static=True)  # of each step; None where the answer is exact
+    by_length: tuple[bool, ...] = eqx.field(default=(False,), static=True)  # of each tendon, if displacements
+    time: Float[np.ndarray | Array, "trials steps"] | None = None  # s, where the body comes after the motors
 
     @property
     def _falls(self) -> np.ndarray:
-        """(trials, steps - 1), whether any base tension falls."""
+        """(trials, steps - 1), whether any base tension or displacement falls."""
         return np.any(np.diff(np.asarray(self.readings), axis=1) < 0, axis=2)
 
     @property
@@ -113,11 +121,22 @@ class Course(eqx.Module):
         return found.reshape(-1, *shape)
 
     def path(self, parameters: Mapping[str, ArrayLike]) -> Float[Array, "trials path tendons"]:
-        """The readings of the base tension, N; with a past, its tensions come first."""
+        """The readings, N or m; with a past, its tensions come first."""
         readings = jnp.asarray(self.readings)
         if self.past is None:
             return readings
         return jnp.concatenate([self.past.tension(parameters)[:, None], readings], axis=1)
+
+    def true_displacement(self, parameters: Mapping[str, ArrayLike], readings: Array) -> Array:
+        """(trials, steps, tendons), how far each tendon is pulled in, m, from what the encoders read."""
+        pulled = readings - of_tendons_in(parameters, "slack_offset", readings.shape[-1])
+        if "backlash" in parameters:
+            pulled = jax.vmap(partial(_with_backlash, parameters["backlash"]))(pulled)
+        if self.time is not None:
+            time = jnp.asarray(self.time)
+            late = time - parameters.get("lag", 0.0)
+            pulled = jax.vmap(jax.vmap(jnp.interp, (None, None, 1), 1))(late, time, pulled)
+        return pulled
 
     @property
     def pulled(self) -> np.ndarray:
@@ -153,7 +172,7 @@ class Course(eqx.Module):
 
         Args:
             body: whose tendons are pulled.
-            tension: (trials, path, tendons), true base tensions of `path`, N.
+            tension: (trials, path, tendons), what was truly set along `path`: base tensions, N, or displacements, m.
             loads_with: gives all loads for a tip force, of one row or of all steps of a path.
             markers_on: gives the markers after each step.
             deviation: (trials,), ln(mu of a trial / mu), or None.
@@ -163,19 +182,25 @@ class Course(eqx.Module):
         def one(tension: Array, force: Array | None, deviation: Array | None):
             here = with_deviation(body, deviation)
             if self.short_steps is None:
-                found = trace(here, tension[:, 0], nodes=nodes, max_turns=self.max_turns, throw=False)
+                (path,) = self._driven(tension)
+                found = trace(here, path, nodes=nodes, max_turns=self.max_turns, throw=False)
             else:
                 found = self._in_increments(here, tension, force, loads_with, nodes)
-            tips = found.tip_tension.reshape(tension.shape)
-            return tips, found.tip_angle, found.tip_position, found.status, markers_on(found)
+            pulled, tips = (x.reshape(tension.shape) for x in (found.tendon_displacement, found.tip_tension))
+            return Shown(pulled, tips, found.tip_angle, found.tip_position, found.status, None, markers_on(found))
 
         force = None if self.tip_force is None else jnp.asarray(self.tip_force)
         trials = tension, force, deviation
         # increments that need not be cut cost nothing one by one; in a batch they would
         every = jax.vmap(one)(*trials) if self.short_steps is None else jax.lax.map(lambda each: one(*each), trials)
         step = self.step + (self.past is not None)
-        tip_tension, angle, position, status, markers = jax.tree.map(lambda x: x[self.trial, step], every)
-        return Shown(tip_tension, angle, position, status, jnp.zeros(tip_tension.shape, bool), markers)
+        found = jax.tree.map(lambda x: x[self.trial, step], every)
+        return found._replace(direction_contradicted=jnp.zeros(found.tip_tension.shape, bool))
+
+    def _driven(self, path: Array) -> list[Array | Displacement]:
+        """The path of each tendon as `trace` takes it."""
+        lengths = zip(self.by_length, path.T, strict=True)
+        return [Displacement(own) if by_length else own for by_length, own in lengths]
 
     def _in_increments(
         self, body: Manipulator, tension: Array, force: Array | None, loads_with: LoadsWith, nodes: int
@@ -183,13 +208,24 @@ class Course(eqx.Module):
         """One path."""
         assert self.short_steps is not None
         num_before = 0 if self.past is None else 1
-        path, _ = given_path(body, tension[num_before:], loads_with(force))
+        given = self._driven(tension[num_before:]) if any(self.by_length) else tension[num_before:]
+        path, driven = given_path(body, given, loads_with(force))
         resting = loads_with(force[0] if force is not None and self.force_stays else None)
         path = path._replace(resting=jax.tree.map(lambda x: jnp.asarray(x, float), resting))
         path = path.behind(tension[0]) if num_before else path
         return stepped_history(
-            body, path, None, Following((), ELEMENTS_IN_FITS * nodes, self.short_steps, estimated=False)
+            body, path, None, Following(driven, ELEMENTS_IN_FITS * nodes, self.short_steps, estimated=False)
         )
+
+
+def _with_backlash(play: ArrayLike, path: Float[Array, "steps tendons"]) -> Float[Array, "steps tendons"]:
+    """How far tendons follow motors that must come back by `play` before they let go; each starts pulled taut."""
+
+    def follow(behind: Array, ahead: Array) -> tuple[Array, Array]:
+        behind = jnp.clip(behind, ahead, ahead + play)
+        return behind, behind
+
+    return jax.lax.scan(follow, path[0] + 0.0 * jnp.asarray(play), path)[1]
 
 
 def between(course: Course, points: int) -> tuple[Course, list[np.ndarray]]:
@@ -203,7 +239,8 @@ def between(course: Course, points: int) -> tuple[Course, list[np.ndarray]]:
     trial, step = np.repeat(np.arange(len(paths)), sizes), np.concatenate([*map(np.arange, sizes)])
     first_row = np.cumsum([0, *sizes[:-1]])
     columns = [path[:, None] for path in paths]
-    return _course(columns, [0 * path for path in columns], trial, step, first_row, course.past, None), paths
+    none = [0 * path for path in columns]
+    return _course(columns, none, trial, step, first_row, course.past, None, course.by_length), paths
 
 
 def _course(
@@ -214,8 +251,10 @@ def _course(
     first_row: np.ndarray,
     past: Past | None,
     short_steps: int | None,
+    by_length: tuple[bool, ...],
+    times: Sequence[np.ndarray] | None = None,
 ) -> Course:
-    """From the tensions and forces of each path, (steps, tendons) and (steps, components)."""
+    """From what was set and the forces of each path, (steps, tendons) and (steps, components), and its times."""
     longest = max(map(len, paths))
     if longest > 1:
         longest += -longest % (STEPS if short_steps is None else FEW_STEPS)
@@ -226,9 +265,13 @@ def _course(
     most, tip_force = 0, force if np.any(force) else None
     if short_steps is None:
         above = [] if past is None else [2 * max(np.max(readings), np.max(np.asarray(past.stated)), 1.0)]
+        above = [np.max(readings) + 1, np.min(readings) - 1] if any(by_length) else above  # it may be pulled from slack
         most = max(_most_open(np.append(above, path)) for path in paths)
     stays = bool(np.all(force == force[:, :1])) and tip_force is not None
-    return Course(readings, trial, step, first_row, most, past, tip_force, stays, short_steps)
+    time = None
+    if times is not None:
+        time = np.stack([np.append(own, own[-1] + 1.0 + np.arange(longest - own.size)) for own in times])
+    return Course(readings, trial, step, first_row, most, past, tip_force, stays, short_steps, by_length, time)
 
 
 def tip_forces(table: Measurements) -> Float[np.ndarray, "rows components"]:
@@ -236,6 +279,11 @@ def tip_forces(table: Measurements) -> Float[np.ndarray, "rows components"]:
     none = np.zeros(len(table))
     axes = "xyz" if "tip_force_z" in table else "xy"
     return np.stack([table.columns.get(f"tip_force_{axis}", none) for axis in axes], axis=1)
+
+
+def is_driven_by_length(table: Measurements) -> bool:
+    """Whether displacements set any tendon. Then tendons may be slack, and rows are followed at least from rest."""
+    return any(kind_of(column) == "displacement" for column in set_by(table.columns))
 
 
 def has_history(table: Measurements, history: bool | None) -> bool:
@@ -249,7 +297,7 @@ def has_history(table: Measurements, history: bool | None) -> bool:
         InputError: where rows between others are missing.
     """
     if "pulling_tension" in table or not (table.ordered if history is None else history):
-        return False
+        return is_driven_by_length(table)
     if table.left_out and not table.ordered:
         raise InputError(
             f"{table.name}: {table.left_out} rows without a reading are left out, but the path from row to row needs "
@@ -265,57 +313,76 @@ def course_of(
     short_steps: int = SHORT_STEPS,
     *,
     loaded: bool = False,
+    timed: bool = False,
 ) -> tuple[Course, Steady]:
-    """The rows of a table as steps of paths, and the base tensions without the jitter of their cells.
+    """The rows of a table as steps of paths, and what was set without the jitter of its readings.
 
     Args:
         table: of a body with any number of tendons.
-        noise: by column, the standard deviation of a reading of the base tension, N, as in `without_jitter`; that of
-            `base_tension` holds for all columns without one.
+        noise: by column, the standard deviation of a reading of what was set, N or m, as in `without_jitter`; that of
+            `base_tension` or `displacement` holds for all columns without one.
         starts: how each trial begins; None: from rest.
         short_steps: into how many increments each step is divided where the answer is not exact.
         loaded: whether there are loads besides the tip forces, which are the same in all rows.
+        timed: whether the body may come after the motors, so that the times of the rows count.
 
     Raises:
         InputError: for a column `direction` of a single tendon that contradicts the order of the rows, a largest
             tension before a trial that is below that of its first row, or a past of another number of tendons.
     """
     rows, force = len(table), tip_forces(table)
-    pulled = [column for column in table.columns if column.startswith("base_tension")]
+    pulled = set_by(table.columns)
+    by_length = tuple(kind_of(column) == "displacement" for column in pulled)
+    if timed and "time" not in table:
+        raise InputError(f"{table.name}: lag needs the column time; add it, or do not fit lag")
     exact = len(pulled) == 1 and not np.any(force) and not loaded
     trial, step, tension = np.zeros(rows, int), np.zeros(rows, int), np.zeros(rows)
-    paths, forces, found, first = [], [], [], []
+    paths, forces, times, found, first = [], [], [], [], []
     starts = [Start()] * len(table.trials) if starts is None else starts
     known = noise or {}
-    common = known.get("base_tension")
+    if any(by_length) and not all(start.from_rest for start in starts):
+        raise InputError(
+            f"{table.name}: before holds tensions, but displacements set the tendons; begin each trial with the pull "
+            "before it"
+        )
     for start in (start for start in starts if not start.from_rest and len(start.tension) != len(pulled)):
         raise InputError(
             f"{table.name}: before holds tensions of {len(start.tension)} tendons, but there are {len(pulled)} columns "
             "of base tensions; give one tension for each column"
         )
     for own, start in zip(table.trials, starts, strict=True):
-        steadied = [without_jitter(table[column][own], known.get(column, common)) for column in pulled]
+        steadied = [_steady(table[column][own], known.get(column, known.get(kind_of_set(column)))) for column in pulled]
         if exact:
             _check_directions(table, own, steadied[0], start)
         given = np.stack([*(steady.tension for steady in steadied), *force[own].T], axis=1)
-        moved = np.append(True, np.any(np.diff(given, axis=0) != 0, axis=1))
+        moved = np.append(True, np.any(np.diff(given, axis=0) != 0, axis=1) | timed)
         trial[own], step[own], tension[own] = len(paths), np.cumsum(moved) - 1, steadied[0].tension
         paths.append(given[moved, : len(pulled)])
         forces.append(given[moved, len(pulled) :])
+        times += [table["time"][own]] if timed else []
         found += steadied
         first.append(own[0])
     places = [f"{table.name}: {table.place(int(row))}" for row in first]
     past = past_of(starts, np.array([path[0] for path in paths]), places)
     of_rows = trial, step, np.array(first)
-    course = _course(paths, forces, *of_rows, past, None if exact else short_steps)
+    course = _course(paths, forces, *of_rows, past, None if exact else short_steps, by_length, times if timed else None)
     noisiest = max(found, key=lambda steady: steady.noise)
     return course, noisiest._replace(tension=tension, num_ignored=sum(steady.num_ignored for steady in found))
+
+
+def _steady(readings: np.ndarray, noise: float | None) -> Steady:
+    """The readings without jitter; displacements may be below 0."""
+    least = min(float(np.min(readings)), 0.0)
+    steady = without_jitter(readings - least, noise)
+    return steady._replace(tension=steady.tension + least)
 
 
 def _check_directions(table: Measurements, rows: np.ndarray, steady: Steady, start: Start) -> None:
     """Compare the column `direction` with the path: the tension must rise to a row with 1, and fall to one with -1."""
     if "direction" not in table:
         return
+    (column,) = set_by(table.columns)
+    dimension = dimension_of(column)
     stated = start.tension[0] if start.tension else None
     before = np.append(0.0 if stated is None else stated, steady.tension[:-1])
     moved = steady.tension - before
@@ -326,9 +393,9 @@ def _check_directions(table: Measurements, rows: np.ndarray, steady: Steady, sta
         i = int(wrong[0])
         way, label = ("rises", -1) if moved[i] > 0 else ("falls", 1)
         raise InputError(
-            f"{table.name}: {table.place(int(rows[i]))}, column direction: is {label}, but base_tension {way} there "
-            f"from {before[i]:.6g} to {steady.tension[i]:.6g} N; correct the label or the order of the rows, or "
-            f"{WITHOUT}"
+            f"{table.name}: {table.place(int(rows[i]))}, column direction: is {label}, but {column} {way} there from "
+            f"{shown(before[i], dimension)} to {shown(steady.tension[i], dimension)}; correct the label or "
+            f"the order of the rows, or {WITHOUT}"
         )
 
 

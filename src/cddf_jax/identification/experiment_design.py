@@ -234,7 +234,7 @@ def _rows(
         values, slopes = shown.readings, shown.derivatives
         for status in NOTEWORTHY:
             count = int(np.sum(np.asarray(shown.status) == status))
-            warnings += [f"{count} of {len(experiment.base_tension)} rows: {words_of(status)}"] if count else []
+            warnings += [f"{count} of {len(experiment.actuation)} rows: {words_of(status)}"] if count else []
     deviations = [_deviation(candidate.noise[column], values[column])[:, None] for column in experiment.columns]
     with np.errstate(divide="ignore", invalid="ignore"):  # a reading of 0 whose noise has no floor counts as nothing
         scaled = [slopes[column] * size / s for column, s in zip(experiment.columns, deviations, strict=True)]

@@ -17,13 +17,16 @@ from ..measurements.holds import SerialCorrelation, holds_of, serial_correlation
 from ..measurements.jitter import Steady
 from ..measurements.left_out import CONTRADICTED, LeaveOut, LeftOut, named_rows, without
 from ..measurements.markers import marker_column
+from ..measurements.readings import kind_of_set, set_by
 from ..measurements.table import Measurements
 from ..numerics.given_numbers import check_numbers
+from ..quantities import dimension_of
 from ..robot.manipulator import Manipulator
 from ..statics.arguments import refuse_batch
+from ..units import si_unit
 from . import bench
 from .camera import camera_start, check_reach, unexplained_pose
-from .course import CLOSE, EACH, SHORT_STEPS, Course, course_of, has_history
+from .course import CLOSE, EACH, SHORT_STEPS, Course, course_of, has_history, is_driven_by_length
 from .parameters import (
     PLAIN,
     TRIALS,
@@ -303,8 +306,8 @@ def fit(
     if history not in (None, True, False, EACH):
         raise InputError(f"fit: history must be True, False, None or {EACH!r}, got {history!r}")
     followed = True if history == EACH else history
-    if history == EACH:
-        tables = tuple(table if "pulling_tension" in table else table.row_by_row() for table in tables)
+    each = [_is_each_from_rest(table, history) for table in tables]
+    tables = tuple(table.row_by_row() if own else table for table, own in zip(tables, each, strict=True))
     own = [tendon.friction_coefficient is not None for tendon in manipulator.tendons]
     if "friction_coefficient" in free and all(own):
         raise InputError("fit: every tendon has its own friction coefficient; leave theirs out to fit a common one")
@@ -317,9 +320,7 @@ def fit(
     earlier = np.cumsum([0, *(len(_trials(table)) for table in tables)])
     with within("fit"):
         noise, of_base = _split(noise or {}, tables)
-        courses, guesses = _courses(
-            manipulator, tables, followed, before, free, of_base, short_steps, loaded=setting.loads is not None
-        )
+        courses, guesses = _courses(manipulator, tables, followed, before, free, of_base, short_steps, setting)
     experiments = (
         bench.experiment_of(table, manipulator, int(first), course and course[0], setting, free=free)
         for table, first, course in zip(tables, earlier, courses, strict=False)
@@ -359,6 +360,13 @@ def fit(
     return _conclude(statistics, tables, model, setting, without_jitter, spread, left_out, options)
 
 
+def _is_each_from_rest(table: Measurements, history: bool | str | None) -> bool:
+    """Whether each row of a table is pulled from rest: where that is asked for, and of displacements without a path."""
+    if "pulling_tension" in table or history == EACH:
+        return "pulling_tension" not in table
+    return is_driven_by_length(table) and not (table.ordered if history is None else history)
+
+
 def _without_contradicted(once: Callable[..., Fit]) -> Fit:
     """Fit, leave out the rows that the fit contradicts, and fit again, until it contradicts none."""
     found, left = once(leave_out={}), LeftOut()
@@ -378,16 +386,17 @@ def _courses(
     free: Sequence[str],
     noise: Mapping[str, float],
     short_steps: int,
-    *,
-    loaded: bool,
+    setting: BenchSetting,
 ) -> tuple[list[tuple[Course, Steady] | None], dict[str, tuple[float, float]]]:
     """The course of each table, None without a history; guesses of pasts."""
     with_history = [has_history(table, history) for table in tables]
     counts = [len(table.trials) if on else 0 for table, on in zip(tables, with_history, strict=True)]
     starts = starts_of(counts, before, free, manipulator.num_tendons)
     of_tables = zip(tables, with_history, starts, strict=True)
+    timed = "lag" in (*free, *setting.given)
     courses = [
-        course_of(table, noise, starts, short_steps, loaded=loaded) if on else None for table, on, starts in of_tables
+        course_of(table, noise, starts, short_steps, loaded=setting.loads is not None, timed=timed) if on else None
+        for table, on, starts in of_tables
     ]
     known = [(own, course[0]) for own, course in zip(starts, courses, strict=True) if course]
     first = [(own, np.asarray(course.readings)[:, 0]) for own, course in known]
@@ -397,14 +406,15 @@ def _courses(
 def _split(
     noise: Mapping[str, ArrayLike | Noise], tables: Sequence[Measurements]
 ) -> tuple[dict[str, ArrayLike | Noise], dict[str, float]]:
-    """The noise of the predicted columns, and that of base tensions."""
-    columns = {column for table in tables for column in table.columns if column.startswith("base_tension")}
+    """The noise of the predicted columns, and that of what was set."""
+    columns = {column for table in tables for column in set_by(table.columns)}
     base = {column: given for column, given in noise.items() if column in columns}
     for column, given in base.items():
         if not isinstance(given, Noise):
             check_numbers(f"noise of {column}", [given])
         if isinstance(given, Noise) or np.ndim(given) or not np.asarray(given) >= 0:
-            raise InputError(f"noise of {column} must be one standard deviation in N, 0 or more")
+            unit = si_unit(dimension_of(kind_of_set(column)))
+            raise InputError(f"noise of {column} must be one standard deviation in {unit}, 0 or more")
     predicted = {column: given for column, given in noise.items() if column not in base}
     return predicted, {column: float(np.asarray(given)) for column, given in base.items()}
 

@@ -6,8 +6,8 @@ a bench are given by its setting.
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
-from typing import NamedTuple
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -16,6 +16,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from ..errors import InputError
 from ..measurements.markers import Marker
+from ..measurements.readings import tendon_number
 from ..numerics.given_numbers import check_numbers
 from ..quantities import dimension_of
 from ..robot.loads import Loads, loads_as_dict, point_in_words
@@ -61,6 +62,10 @@ PARAMETERS = {
         Parameter("base_zero", 0.0, False, 0.5),
         Parameter("tip_zero", 0.0, False, 0.5),
         Parameter("pretension", 1.0, True, 0.5),  # of every tendon; the cells read 0 there
+        Parameter("slack_offset", 0.0, False, 1e-3),  # the displacement, as read, at which a tendon begins to pull
+        Parameter("outside_compliance", 1e-5, True, 1e-5),  # of the tendon and all that it pulls on outside the body
+        Parameter("backlash", 1e-4, True, 1e-4),  # way back of the motor before the tendon follows
+        Parameter("lag", 0.0, False, 0.1),  # time by which the body comes after the motor
         Parameter("angle_zero", 0.0, False, 0.02),
         Parameter("tendon_angle_error", 0.0, False, 0.02),  # of a body in space, the same for all tendons
         *(Parameter(f"camera_{axis}", 0.0, False, 1e-3) for axis in "xyz"),  # the origin of measured positions
@@ -72,6 +77,8 @@ PARAMETERS = {
 OUT_OF_PLANE = tuple(f"{name}_{axis}" for name in ("camera_turn", "gravity_turn") for axis in "xy")
 OF_SPACE = ("poissons_ratio", "tendon_angle_error", "camera_z", *OUT_OF_PLANE)
 OF_STRETCH = ("axial_factor", "shear_factor")
+OF_TENDONS = ("base_gain", "tip_gain", "base_zero", "tip_zero", "slack_offset", "outside_compliance")  # each may differ
+OF_DRIVE = ("slack_offset", "backlash", "lag")
 _OF_BODY = {field.name for field in fields(Manipulator)}
 
 
@@ -118,6 +125,8 @@ def starting_value(manipulator: Manipulator, name: str, given: Mapping[str, floa
     if given and name in given:
         return float(given[name])
     own = getattr(manipulator, name, None)
+    if name.startswith("outside_compliance"):
+        own = manipulator.tendon_outside_compliance[tendon_number(name) - 1]
     return float(own) if own is not None and (start is None or own > 0) else float(start or 0.0)
 
 
@@ -137,6 +146,11 @@ def with_parameters(manipulator: Manipulator, parameters: Parameters) -> Manipul
         error = parameters["tendon_angle_error"]
         angles = [shifted(tendon.angle, error) for tendon in body.tendons if tendon.angle is not None]
         body = eqx.tree_at(lambda m: [tendon.angle for tendon in m.tendons], body, angles)
+    if any(name.startswith("outside_compliance") for name in parameters):
+        known = body.tendon_outside_compliance
+        own = [of_tendon(parameters, "outside_compliance", i, known[i - 1]) for i in range(1, body.num_tendons + 1)]
+        tendons = [replace(t, outside_compliance=C) for t, C in zip(body.tendons, own, strict=True)]
+        body = eqx.tree_at(lambda m: m.tendons, body, tuple(tendons))
     return body
 
 
@@ -146,6 +160,17 @@ def with_deviation(manipulator: Manipulator, deviation: Float[Array, ""] | None)
         return manipulator
     mu = jnp.asarray(manipulator.friction_coefficient) * jnp.exp(deviation)
     return eqx.tree_at(lambda m: m.friction_coefficient, manipulator, mu)
+
+
+def of_tendon(parameters: Parameters, name: str, tendon: int, otherwise: ArrayLike | None) -> Any:
+    """A parameter that tendons may have each: `base_gain_2` for tendon 2, or else `base_gain` of all."""
+    return parameters.get(f"{name}_{tendon}", parameters.get(name, otherwise))
+
+
+def of_tendons_in(parameters: Parameters, name: str, tendons: int) -> Float[Array, " tendons"]:
+    """As `of_tendon`, for all tendons; where it is no parameter, the usual value."""
+    usual = PARAMETERS[name].start
+    return jnp.stack([jnp.asarray(of_tendon(parameters, name, i, usual)) for i in range(1, tendons + 1)])
 
 
 def turn_of(parameters: Parameters, name: str) -> Float[Array, " 3"] | None:
@@ -232,7 +257,7 @@ def parameter_named(name: str) -> Parameter:
         InputError: for an unknown name.
     """
     stem, _, tendon = name.rpartition("_")
-    if tendon.isdigit() and stem.endswith(("_gain", "_zero")) and stem != "angle_zero":
+    if tendon.isdigit() and stem in OF_TENDONS:
         name = stem
     name = PARAMETER if is_past(name) else name
     if name not in PARAMETERS:

@@ -91,10 +91,10 @@ def beyond_the_data(wanted: Bench, model: BenchModel) -> np.ndarray:
     """Which rows lie outside the range of the data, in any base tension or any component of the tip force."""
 
     def conditions(bench: Bench) -> np.ndarray:
-        force = np.zeros((len(bench.base_tension), 3))
+        force = np.zeros((len(bench.actuation), 3))
         if bench.tip_force is not None:
             force[:, : np.shape(bench.tip_force)[1]] = bench.tip_force
-        return np.concatenate([bench.base_tension, force], axis=1)
+        return np.concatenate([bench.actuation, force], axis=1)
 
     measured = [conditions(e) for e in model.experiments if isinstance(e, Bench)]
     there = conditions(wanted)

@@ -17,7 +17,7 @@ from ..estimation.parameter_space import Priors
 from ..estimation.residuals import InputErrors
 from ..estimation.whole_search import INTERRUPTED
 from ..measurements.jitter import LARGEST_JITTER
-from ..measurements.readings import of_tendons
+from ..measurements.readings import kind_of_set, set_by
 from ..measurements.table import Measurements
 from .bench import Bench, BenchModel
 from .parameters import TRIALS, Parameters
@@ -122,10 +122,9 @@ def errors_of_base(model: BenchModel, tables: Sequence[Measurements], noise: Map
             continue
         levels = _levels(table, bench)
         estimable = _is_shared(table, bench, levels) and np.max(levels) < MOST_LEVELS
-        tendons = bench.base_tension.shape[1]
-        for tendon, column in enumerate(of_tendons("base_tension", tendons)):
-            stated = noise.get(column, noise.get("base_tension"))
-            most = LARGEST_JITTER * float(np.max(table[column]))
+        for tendon, column in enumerate(set_by(table.columns)):
+            stated = noise.get(column, noise.get(kind_of_set(column)))
+            most = LARGEST_JITTER * float(np.ptp(np.append(table[column], 0.0)))
             if stated == 0 or not most > 0 or (stated is None and not estimable):
                 continue
             sigma[label := f"{name}: {column}"] = stated
@@ -141,7 +140,9 @@ def many_levels(model: BenchModel, tables: Sequence[Measurements], noise: Mappin
     return [
         name
         for name, table, bench, levels in benches
-        if "base_tension" not in noise and np.max(levels) >= MOST_LEVELS and _is_shared(table, bench, levels)
+        if not {*map(kind_of_set, set_by(table.columns))} <= set(noise)
+        and np.max(levels) >= MOST_LEVELS
+        and _is_shared(table, bench, levels)
     ]
 
 
@@ -149,7 +150,7 @@ def _is_shared(table: Measurements, bench: Bench, levels: np.ndarray) -> bool:
     """Whether a base tension moves several readings."""
     count = sum(int(np.sum(table.has(column))) for column in bench.columns)
     turns = bench.course is not None and bench.course.turns
-    return turns or count > bench.base_tension.shape[1] * (int(np.max(levels)) + 1)
+    return turns or count > bench.actuation.shape[1] * (int(np.max(levels)) + 1)
 
 
 def _all_slopes(
@@ -165,7 +166,7 @@ def _levels(table: Measurements, bench: Bench) -> np.ndarray:
         return np.unique(np.stack([trial, step]), axis=1, return_inverse=True)[1].ravel()
     level, count = np.zeros(len(table), int), 0
     for own in table.trials:
-        moved = np.any(np.diff(bench.base_tension[own], axis=0) != 0, axis=1)
+        moved = np.any(np.diff(bench.actuation[own], axis=0) != 0, axis=1)
         level[own] = count + np.cumsum(np.append(False, moved))
         count = int(np.max(level[own])) + 1
     return level
@@ -180,8 +181,8 @@ def _slopes(
     no equal readings.
     """
     by_base = bench.evaluate(model.manipulator, jax.tree.map(np.asarray, at), model.nodes).by_base
-    tendons, rows = bench.base_tension.shape[1], np.arange(len(table))
-    different = np.unique(np.stack([levels, bench.base_tension[:, tendon]]), axis=1)[0].astype(int)
+    tendons, rows = bench.actuation.shape[1], np.arange(len(table))
+    different = np.unique(np.stack([levels, bench.actuation[:, tendon]]), axis=1)[0].astype(int)
     size = np.sqrt(np.bincount(different))
     found = {}
     for column in bench.columns:

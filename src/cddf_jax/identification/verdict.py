@@ -13,10 +13,11 @@ from ..measurements.columns import is_reading
 from ..measurements.holds import ALARM, LEAST_PAIRS
 from ..measurements.jitter import Steady, merged_levels
 from ..measurements.left_out import CONTRADICTED, as_leave_out, named_rows, rows_in_words, sources
-from ..measurements.readings import of_shape
+from ..measurements.readings import kind_of_set, of_shape, set_by
 from ..measurements.table import Measurements
 from ..measurements.table_warnings import warnings_of
 from ..measurements.trials import repeated_tables
+from ..quantities import dimension_of
 from ..statics.status import NOTEWORTHY, Status, words_of
 from ..units import preferred, shown
 from .bench import Bench, BenchModel, Group
@@ -69,7 +70,7 @@ def solve_results(parameters: Parameters, tables: Sequence[Measurements], model:
             found = [way is None for way in experiment.direction]  # a direction that the table states is not doubted
             against = np.any(np.asarray(shown.against)[:, found], axis=1)
             contradicted = np.asarray(shown.status) == Status.direction_contradicted
-            read = np.any([table.has(column) for column in table.columns if is_reading(column)], axis=0)
+            read = np.any([table.has(column) for column in table.columns if is_reading(column, table.columns)], axis=0)
             yield SolveResults(name, table, shown.status, contradicted & against & read, read)
 
 
@@ -108,21 +109,23 @@ def fit_warnings(fit: "Fit") -> list[str]:
     if fit.options["history"] == EACH:
         found.append("each row was followed from rest, with all tensions and tip forces in proportion")
     found += [
-        f"{name}: base_tension jitters by {one.noise:.2g} N (standard deviation), and {one.num_ignored} of its turns "
-        f"of {one.least_turn:.2g} N or less are taken for noise{merged_in_words(one, table)}; if they are real, give "
-        "the noise of base_tension"
+        f"{name}: {column} jitters by {shown(one.noise, dimension_of(column))} (standard deviation), and "
+        f"{one.num_ignored} of its turns of {shown(one.least_turn, dimension_of(column))} or less are taken for "
+        f"noise{merged_in_words(one, table)}; if they are real, give the noise of {column}"
         for (name, one), table in zip(fit.without_jitter.items(), with_history, strict=True)
         if one.num_ignored
+        for column in set_by(table.columns)[:1]
     ]
+    for label in fit.evidence.estimated_inputs:
+        noise = shown(fit.input_noise[label], dimension_of(kind_of_set(label.rpartition(": ")[2])))
+        found.append(
+            f"{label} was not given a noise; the readings of a row deviate together, as {noise} of noise in it would "
+            f"cause (standard deviation), and the intervals contain it{_following(fit, label)}; give it if you know "
+            "it, 0 for none"
+        )
     found += [
-        f"{label} was not given a noise; the readings of a row deviate together, as {fit.input_noise[label]:.2g} N of "
-        f"noise in it would cause (standard deviation), and the intervals contain it{_following(fit, label)}; give it "
-        "if you know it, 0 for none"
-        for label in fit.evidence.estimated_inputs
-    ]
-    found += [
-        f"{name}: base_tension has too many levels for an estimate of its noise, and the intervals do not contain it; "
-        "give it, 0 if the base tensions are exact, or fit one reading for each hold"
+        f"{name}: what was set has too many levels for an estimate of its noise, and the intervals do not contain it; "
+        "give the noise of base_tension or displacement, 0 if it is exact, or fit one reading for each hold"
         for name in many_levels(fit.model, fit.tables, dict(fit.options["noise"]))  # pyright: ignore
     ]
     found += [
@@ -187,13 +190,15 @@ def drift_of(fit: "Fit", group: Group) -> str:
 
 
 def merged_in_words(steady: Steady, table: Measurements) -> str:
-    """Which rows became one level of base tension."""
+    """Which rows became one level of what was set."""
+    column = set_by(table.columns)[0]
     runs = (
         (rows[one.first], rows[one.last], one.tension)
         for rows in table.trials
-        for one in merged_levels(table["base_tension"][rows], steady.tension[rows])
+        for one in merged_levels(table[column][rows], steady.tension[rows])
     )
-    every = [f"{table.place(first)} to {table.place(last)} are {tension:.5g} N" for first, last, tension in runs]
+    unit = dimension_of(column)
+    every = [f"{table.place(first)} to {table.place(last)} are {shown(level, unit)}" for first, last, level in runs]
     levels, more = every[:SHOWN], len(every) - SHOWN
     return f" ({'; '.join(levels)}{f'; and {more} more levels' if more > 0 else ''})" if levels else ""
 

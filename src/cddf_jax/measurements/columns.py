@@ -1,6 +1,7 @@
 """The columns of a table of measurements: their names, other spellings of them, and what they measure."""
 
 import re
+from collections.abc import Collection
 from difflib import get_close_matches
 
 from ..errors import InputError
@@ -9,7 +10,7 @@ from ..quantities import QUANTITIES
 from ..units import Dimension
 from .markers import marker_column
 from .order import ORDER
-from .readings import NAMED, kind_of
+from .readings import NAMED, kind_of, set_by
 
 _WITHOUT_UNIT = ("trial", "direction", "step")
 COLUMNS = (
@@ -22,6 +23,7 @@ PER_TENDON = ("base_tension", "direction", *(name for name, kind in NAMED.items(
 _SPELLINGS = {
     "tbase": "base_tension",
     "tensionbase": "base_tension",
+    "tendondisplacement": "displacement",
     "ttip": "tip_tension",
     "tensiontip": "tip_tension",
     "angletip": "tip_angle",
@@ -97,9 +99,14 @@ def column_dimension(column: str) -> Dimension | None:
     return None if column in _WITHOUT_UNIT else QUANTITIES[column].dimension
 
 
-def is_reading(column: str) -> bool:
-    """Whether an instrument reads the column, so that cells may be empty; other columns were set, and are needed."""
+def may_be_read(column: str) -> bool:
+    """Whether an instrument may read the column, so that cells may be empty."""
     return bool(kind_of(column)) or column == "pulling_tension"
+
+
+def is_reading(column: str, columns: Collection[str]) -> bool:
+    """Whether a column of a table was read. What was set is needed in every row, as a displacement that pulls."""
+    return may_be_read(column) and column not in set_by(columns)
 
 
 def is_direction(column: str) -> bool:

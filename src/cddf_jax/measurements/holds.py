@@ -134,7 +134,9 @@ def serial_correlation(residual: ArrayLike, labels: ArrayLike, num_parameters: f
 
 def holds_of(table: Measurements) -> np.ndarray:
     """The hold of each row of a table, by the order of measurement, its trials and what was set."""
-    set_to = [column for column in table.columns if column not in ("trial", *ORDER) and not is_reading(column)]
+    set_to = [
+        column for column in table.columns if column not in ("trial", *ORDER) and not is_reading(column, table.columns)
+    ]
     levels, labels = np.stack([table[column] for column in set_to], axis=1), np.zeros(len(table), int)
     labels[table.order] = hold_labels(levels[table.order], table.trial[table.order])
     return labels

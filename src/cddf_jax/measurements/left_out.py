@@ -108,8 +108,11 @@ def _table_without(table: Measurements, marked: np.ndarray) -> Measurements:
     """The table without the readings of some rows, as if they were missing."""
     if not np.any(marked):
         return table
-    kept = {name: np.where(marked & is_reading(name), np.nan, values) for name, values in table.columns.items()}
-    empty = [name for name, values in kept.items() if is_reading(name) and not np.any(np.isfinite(values))]
-    if len(empty) == sum(map(is_reading, kept)):
+    read = [name for name in table.columns if is_reading(name, table.columns)]
+    kept = {
+        name: np.where(marked, np.nan, values) if name in read else values for name, values in table.columns.items()
+    }
+    empty = [name for name in read if not np.any(np.isfinite(kept[name]))]
+    if len(empty) == len(read):
         raise InputError(f"leave_out: no reading of {table.name} is left; leave out fewer rows, or the whole table")
     return replace(table, columns={name: values for name, values in kept.items() if name not in empty})

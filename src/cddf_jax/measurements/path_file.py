@@ -13,7 +13,7 @@ from ..files.table_header import Kind, name_and_unit
 from ..quantities import dimension_of
 from ..units import Dimension, written
 from .column_guesses import advice
-from .columns import column_dimension, column_meant, is_reading
+from .columns import column_dimension, column_meant, may_be_read
 from .order import ORDER, check_order, order_of
 
 DRIVEN = ("base_tension", "tendon_displacement", "tip_angle")  # the first that the file has is the path
@@ -92,5 +92,5 @@ _KIND = Kind(
     "base_tension [N]",
     meant=_meant,
     labels=("trial",),
-    gaps=is_reading,
+    gaps=may_be_read,
 )

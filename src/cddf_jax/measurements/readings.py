@@ -4,7 +4,7 @@ A kind of data is added here and in `quantities`: what is read of an equilibrium
 the name of its kind. If every tendon has one, `tip_tension` is that of tendon 1, and `tip_tension_2` that of tendon 2.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any, NamedTuple
 
 from .markers import marker_column
@@ -16,13 +16,14 @@ class Reading(NamedTuple):
     of: Callable[[Any], Any]  # of equilibria, rows first, SI; tendons last where every tendon has one
     per_tendon: bool = False
     by_cell: bool = False  # a tension as a load cell reads it, gain * (tension - pretension) + zero
-    zero: str = ""  # the parameter of a bench that is added to the true value
+    zero: str = ""  # the parameter of a bench that is added to the true value, of each tendon where every one has one
     in_space: bool = False  # whether only a body in space has it
     of_marker: bool = False  # markers last; its columns are those of `markers.marker_column`
 
 
 READINGS = {
     "tip_tension": Reading(lambda found: found.tip_tension, per_tendon=True, by_cell=True),
+    "displacement": Reading(lambda found: found.tendon_displacement, per_tendon=True, zero="slack_offset"),
     "tip_angle": Reading(lambda found: found.tip_angle, zero="angle_zero"),
     "tip_x": Reading(lambda found: found.tip_position[..., 0]),
     "tip_y": Reading(lambda found: found.tip_position[..., 1]),
@@ -31,6 +32,7 @@ READINGS = {
     "marker_y": Reading(lambda found: found.markers[..., 1], of_marker=True),
     "marker_z": Reading(lambda found: found.markers[..., 2], of_marker=True, in_space=True),
 }
+SET = "base_tension", "displacement"  # what sets a tendon; the first that a table has
 NAMED = {name: kind for name, kind in READINGS.items() if not kind.of_marker}  # whose names are those of columns
 
 
@@ -59,6 +61,20 @@ def tendon_number(column: str) -> int:
 def of_tendons(name: str, num_tendons: int) -> list[str]:
     """The column of each tendon: `base_tension`, `base_tension_2`, ..."""
     return [name, *(f"{name}_{i}" for i in range(2, num_tendons + 1))]
+
+
+def kind_of_set(column: str) -> str:
+    """`base_tension` or `displacement`, for a column that sets a tendon."""
+    return column.rstrip("0123456789").rstrip("_")
+
+
+def set_by(columns: Collection[str]) -> list[str]:
+    """The column that sets each tendon: its base tension, or its displacement where there is none."""
+    found, number = [], 1
+    while own := [name for kind in SET for name in of_tendons(kind, number)[-1:] if name in columns]:
+        found.append(own[0])
+        number += 1
+    return found
 
 
 def columns_of(num_tendons: int, markers: Sequence[str] = (), components: int = 2) -> list[str]:

@@ -7,6 +7,7 @@
 | column | unit of | meaning |
 | --- | --- | --- |
 | base_tension, base_tension_2, ... | force | pull at the base on tendon 1, 2, ... |
+| displacement, displacement_2, ... | length | pulled in at the actuator; sets a tendon without base tension |
 | tip_tension, tip_tension_2, ... | force | the same tendon's tension at its tip end |
 | tip_angle | angle | phi(L) |
 | tip_x, tip_y, tip_z | length | u(L) in the frame at the base, tip_z of a body in space |
@@ -67,11 +68,12 @@ from .columns import (
     column_resembled,
     is_direction,
     is_reading,
+    may_be_read,
 )
 from .marker_table import NO_MARKERS, of_markers, read_marker_table
 from .markers import Marker
 from .order import ORDER, check_order, order_of
-from .readings import kind_of
+from .readings import kind_of, set_by
 from .table_warnings import warnings_of
 
 _FROM_CELLS = ("base_tension", "tip_tension", "pulling_tension")
@@ -266,7 +268,7 @@ _KIND = Kind(
     "base_tension [N], tip_tension [N]",
     meant=column_meant,
     labels=("trial",),
-    gaps=is_reading,
+    gaps=may_be_read,
     words=lambda column: DIRECTIONS if is_direction(column) else {},
 )
 
@@ -313,7 +315,7 @@ def _table(
 
 def _gaps(columns: Mapping[str, np.ndarray], rows: np.ndarray) -> tuple[tuple[str, ...], np.ndarray, list[str]]:
     """Columns without any reading, the rows that have a reading, and in words what is missing."""
-    missing = {column: np.isnan(values) for column, values in columns.items() if is_reading(column)}
+    missing = {column: np.isnan(values) for column, values in columns.items() if is_reading(column, columns)}
     unread = tuple(column for column, where in missing.items() if np.all(where))
     if missing and len(missing) == len(unread):
         raise InputError(f"no row holds a reading ({', '.join(missing)}); add the measurements")
@@ -368,18 +370,19 @@ def _check_heads(found: Table) -> list[str]:
         remedy = advice(unused, guesses, _missing(guessed.union(found.columns)))
         raise InputError(what, where=where, remedy=remedy)
     _check_columns(found.columns)
-    falls = any(np.any(np.diff(own) < 0) for column, own in found.columns.items() if column.startswith("base_tension"))
+    falls = any(np.any(np.diff(found.columns[column]) < 0) for column in set_by(found.columns))
     may_be = {head: meant.partition(" ")[0] for head, meant in guesses.items()}
     times = [head for head, column in may_be.items() if column == "time" and falls and "step" not in found.columns]
     return [
-        *hint({head: meant for head, meant in guesses.items() if is_reading(may_be[head])}),
+        *hint({head: meant for head, meant in guesses.items() if may_be_read(may_be[head])}),
         *(f"if {short(head)} is the time of the rows, {option(head, 'time')} gives them a history" for head in times),
     ]
 
 
 def _missing(columns: Iterable[str]) -> list[str]:
-    """The columns that a table with these columns needs and does not have."""
+    """The columns that a table with these columns needs and does not have; a displacement does for a base tension."""
     names = set(columns)
+    names |= {column.replace("displacement", "base_tension") for column in names if kind_of(column) == "displacement"}
     tendons = {column: kind for column in names if (kind := kind_of(column)) in PER_TENDON}
     needed = {"base_tension"} | {column.replace(kind, "base_tension") for column, kind in tendons.items()}
     return sorted((set(PULLEY) if names & set(PULLEY) else needed) - names)
@@ -399,7 +402,7 @@ def _check_columns(columns: Iterable[str]) -> None:
 
 def _check_values(column: str, values: np.ndarray, rows: np.ndarray, table: Mapping[str, np.ndarray]) -> None:
     demand = partial(_demand, column, values, rows)
-    known = np.isfinite(values) | (np.isnan(values) if is_reading(column) else False)
+    known = np.isfinite(values) | (np.isnan(values) if is_reading(column, table) else False)
     demand(known, "must be finite", "give a number or remove the row")
     if is_direction(column):
         demand(np.abs(values) == 1, "must be 1 or -1", "write 1 where the tendon slides in, -1 where it slides out")

@@ -6,6 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..quantities import dimension_of
+from ..units import shown
+from .readings import set_by
+
 if TYPE_CHECKING:
     from .table import Measurements
 
@@ -49,11 +53,12 @@ def _repeated_rows(table: "Measurements") -> str:
 
 
 def _one_level(table: "Measurements") -> str:
-    pulls = [values for column, values in table.columns.items() if column.startswith("base_tension")]
-    if len(table) == 1 or not pulls or any(np.ptp(values) > ONE_LEVEL * values.max() for values in pulls):
+    pulls = {column: table[column] for column in set_by(table.columns)}
+    if len(table) == 1 or not pulls or any(np.ptp(own) > ONE_LEVEL * np.max(np.abs(own)) for own in pulls.values()):
         return ""
-    level = f"{pulls[0].mean():.4g} N"
-    return f"base_tension hardly varies from {level}, so that no slope can be determined; measure at other levels"
+    column, values = next(iter(pulls.items()))
+    level = shown(values.mean(), dimension_of(column))
+    return f"{column} hardly varies from {level}, so that no slope can be determined; measure at other levels"
 
 
 def _below_zero(table: "Measurements", column: str) -> str:
@@ -68,7 +73,9 @@ def _below_zero(table: "Measurements", column: str) -> str:
 def _tip_above_base(table: "Measurements", column: str, *, in_order: bool) -> str:
     """Rows in which all of the tendon slides in: with a history those at the largest base tension so far."""
     pull, way = column.replace("tip", "base"), column.replace("tip_tension", "direction")
-    if not column.startswith("tip_tension") or ("base_tension_2" in table and (in_order or way not in table)):
+    if not column.startswith("tip_tension") or pull not in table:
+        return ""
+    if "base_tension_2" in table and (in_order or way not in table):
         return ""  # of several tendons any may slide out while another is pulled
     base, tip = table[pull], table[column]
     sliding_in = table.columns.get(way, np.ones(len(table))) > 0

@@ -131,7 +131,7 @@ def _loops(fit: Fit) -> dict[str, LoopCompared]:
     from ..identification.model_free import model_free_loop
 
     found = {}
-    for name, table in _from_rest(fit, ("tip_tension",)):
+    for name, table in _from_rest(fit, ("base_tension", "tip_tension")):
         if name in fit.without_jitter:
             with suppress(InputError):  # not released far enough
                 loop, tension = model_free_loop(table), float(table["base_tension"].max())
