@@ -113,9 +113,9 @@ def moved_by_finer_steps(fit: "Fit") -> dict[str, float]:
     the difference, one that falls with the square is less. The linearised fit gives the change of the estimates. Empty
     where every answer is exact; NaN where the finer one has no solution.
     """
-    body, nodes, spectrum = fit.model.manipulator, fit.model.nodes, fit.evidence.spectrum
-    parameters, moved = jax.tree.map(np.asarray, fit.parameters), np.zeros(len(fit.names))
-    found = False
+    body, nodes, spectrum, problem = fit.model.manipulator, fit.model.nodes, fit.evidence.spectrum, fit.minimum.problem
+    parameters, found = jax.tree.map(np.asarray, fit.parameters), False
+    apart = {label: np.zeros(len(rows)) for label, rows in fit.evidence.rows.items()}  # over the noise
     for name, one in zip(fit.model.names, fit.model.experiments, strict=True):
         if not isinstance(one, Bench) or one.course is None or one.course.short_steps is None:
             continue
@@ -123,9 +123,11 @@ def moved_by_finer_steps(fit: "Fit") -> dict[str, float]:
         finer = replace(one, course=replace(one.course, short_steps=2 * one.course.short_steps), name="")
         read = evaluated(Bench.predict, finer, body, parameters, 2 * nodes)
         for group in (group for group in fit.groups if group.name == name):
-            apart = read[group.column] - (group.observed - fit.residuals[group.label])
-            noise = noise_of_readings(fit, group)
-            moved += spectrum.covariance @ (fit.evidence.rows[group.label].T @ (2 * apart / noise))
+            less = read[group.column] - (group.observed - fit.residuals[group.label])
+            apart[group.label] = 2 * less / noise_of_readings(fit, group)
+    whole = np.asarray(problem.shared.whitened(np.concatenate([apart[label] for label in problem.groups])))
+    rows = np.concatenate([fit.evidence.rows[label] for label in problem.groups])
+    moved = spectrum.covariance @ (rows.T @ whole)
     with np.errstate(invalid="ignore"):
         over = np.abs(moved) / spectrum.relative_error
     own = zip(fit.names, over.tolist(), strict=True)
