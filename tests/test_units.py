@@ -49,6 +49,13 @@ def test_quantity_is_exact(text, dimension, value):
     assert bits(quantity(text, dimension, "x")) == bits(value)
 
 
+def test_counts_have_a_unit_with_a_scale():
+    counts = np.array([0.0, 20.0, -7.0])
+    np.testing.assert_array_equal(to_si(counts, "0.05 mm", "length", "x"), counts * 5e-5)
+    np.testing.assert_array_equal(to_si(counts, "-0.05mm", "length", "x"), counts * -5e-5)
+    np.testing.assert_array_equal(to_si(counts, "1/m", "curvature", "x"), counts)  # one over a metre is a unit
+
+
 @pytest.mark.parametrize(
     ("text", "dimension", "message"),
     [

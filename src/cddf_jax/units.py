@@ -78,6 +78,7 @@ _QUANTITY = re.compile(
     r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf)\b)(?:\s*([^\d\s.,+-].*)|\s+(1\s*/.*))?",
     re.I,
 )
+_SCALED = re.compile(r"([+-]?\d+\.?\d*(?:[eE][+-]?\d+)?)\s*([A-Za-zµ°%].*)")  # "0.05 mm", of a count
 _WORDS = re.compile(r"(newton|degree|radian|(milli|centi)?met(er|re)|(kilo)?gram|second)s?|deg|rad", re.I)  # any case
 _GRAD = re.compile("grad", re.I)  # degrees in German, but gon or giga-radians to pint
 _PIXELS = re.compile(r"px|pixels?", re.I)  # of a camera; pint knows that of a printer
@@ -150,21 +151,32 @@ def _unit_of(part: str) -> str | None:
 def to_si(values: np.ndarray, unit: str, dimension: Dimension, what: str) -> np.ndarray:
     """A whole column of numbers in one unit, such as "mm", converted to SI; for all dimensions but "dimensionless".
 
+    Counts have a unit with a scale, such as "0.05 mm" for each; one below 0 turns the sign.
+
     Raises:
         InputError: for a missing, unknown or wrong unit; the message begins with `what`, the name of the column.
     """
     example = f"[{_UNITS[dimension].preferred}]"
-    size = _size_in_si(unit, dimension, what, f"got [{unit}]" if unit else "got none", example)
+    got, (scale, unit) = f"got [{unit}]" if unit else "got none", _scaled(unit)
+    size = scale * _size_in_si(unit, dimension, what, got, example)
     inverse = 1 / size
     if size < 1 and inverse == int(inverse):  # division by 1000 rounds once
         return values / float(inverse)
     return values * float(size)
 
 
+def _scaled(unit: str) -> tuple[Decimal, str]:
+    """The number in front of a unit, 1 without one, and the unit."""
+    found = _SCALED.fullmatch(unit)
+    scale = Decimal(found[1]) if found else Decimal(1)
+    return (scale, found[2]) if found and scale else (Decimal(1), unit)
+
+
 def unit_fits(unit: str, dimension: Dimension) -> bool:
     """Whether a text is a unit of a dimension, or one for which `to_si` has its own message: a mass, pixels."""
     if dimension == "dimensionless":
         return False
+    unit = _scaled(unit)[1]
     if _own_size(unit, dimension) is not None:
         return True
     base = _in_si(unit)[1]

@@ -164,7 +164,7 @@ def test_wrong_tables(fails, table, message):
 
 def test_tables_that_do_not_fit_the_manipulator(fails, two_tendons):
     said = fails("fit", two_tendons, LOAD_CELLS)
-    assert said.endswith("no column 'base_tension_2'; a manipulator of 2 tendons needs it")
+    assert said.endswith("no column 'base_tension_2'; a manipulator of 2 tendons needs it; add it, or displacement_2")
     table = "base_tension [N],base_tension_2 [N],tip_tension [N]\n5,5,4.8\n"
     said = fails("fit", PAPER, "bench.csv", files={"bench.csv": table})
     assert said.startswith("bench.csv: column 'base_tension_2', but the manipulator has 1 tendon(s)")

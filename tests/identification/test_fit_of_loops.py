@@ -348,7 +348,7 @@ def test_a_first_row_may_be_a_release():
     down = released(direction=[-1, -1, 1, 1, 1, 1, -1, -1, -1, -1])
     for start in (Start((60.0,)), Start((None,), ("before",))):
         course_of(down, starts=[start])
-    with pytest.raises(InputError, match="row 1, column direction: is -1, but base_tension rises there from 0 N to 40 N"):
+    with pytest.raises(InputError, match="column direction: is -1, but base_tension rises there from 0 N to 40 N"):
         course_of(down)
 
 

@@ -34,7 +34,16 @@ from ..statics.equilibrium import Equilibrium
 from ..statics.solve import solve
 from ..units import shown
 from .course import Course, Shown, tip_forces
-from .parameters import PLAIN, TRIALS, BenchSetting, Parameters, of_tendons_in, turn_of, with_deviation, with_parameters
+from .parameters import (
+    PLAIN,
+    TRIALS,
+    BenchSetting,
+    Parameters,
+    of_all_tendons,
+    turn_of,
+    with_deviation,
+    with_parameters,
+)
 
 LANES = 128  # rows are solved in multiples of this number, so that tables and curves share compiled programs
 FEW = 16  # the same where rows are solved one by one
@@ -197,11 +206,11 @@ class Bench(eqx.Module):
         kind = READINGS[kind_of(column)]
         values = kind.of(shown)
         if kind.by_cell:
-            gain, zero = (of_tendons_in(parameters, name, values.shape[-1]) for name in ("tip_gain", "tip_zero"))
+            gain, zero = (of_all_tendons(parameters, name, values.shape[-1]) for name in ("tip_gain", "tip_zero"))
             values = gain * (values - parameters.get("pretension", 0.0)) + zero
         if kind.zero:
             each = kind.per_tendon
-            zero = of_tendons_in(parameters, kind.zero, values.shape[-1]) if each else parameters.get(kind.zero, 0.0)
+            zero = of_all_tendons(parameters, kind.zero, values.shape[-1]) if each else parameters.get(kind.zero, 0.0)
             values = values + zero
         if marker := marker_column(column):
             return values[..., self.setting.marker_names.index(marker[1])]
@@ -251,7 +260,7 @@ class Bench(eqx.Module):
 
 def _true_tension(parameters: Parameters, readings: Array) -> Array:
     """Base tensions, N, from what the cells read; tendons last."""
-    gain, zero = (of_tendons_in(parameters, name, readings.shape[-1]) for name in ("base_gain", "base_zero"))
+    gain, zero = (of_all_tendons(parameters, name, readings.shape[-1]) for name in ("base_gain", "base_zero"))
     return jnp.maximum((readings - zero) / gain + parameters.get("pretension", 0.0), 0.0)
 
 

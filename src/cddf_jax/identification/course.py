@@ -27,7 +27,7 @@ from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..statics.targets import Displacement
 from ..units import shown
-from .parameters import of_tendons_in, with_deviation
+from .parameters import of_all_tendons, with_deviation
 from .tension_before import REST, Past, Start, past_of
 
 STEPS = 16  # paths are traced in multiples of this number, so that tables share compiled programs
@@ -129,7 +129,7 @@ class Course(eqx.Module):
 
     def true_displacement(self, parameters: Mapping[str, ArrayLike], readings: Array) -> Array:
         """(trials, steps, tendons), how far each tendon is pulled in, m, from what the encoders read."""
-        pulled = readings - of_tendons_in(parameters, "slack_offset", readings.shape[-1])
+        pulled = readings - of_all_tendons(parameters, "slack_offset", readings.shape[-1])
         if "backlash" in parameters:
             pulled = jax.vmap(partial(_with_backlash, parameters["backlash"]))(pulled)
         if self.time is not None:

@@ -78,7 +78,6 @@ OUT_OF_PLANE = tuple(f"{name}_{axis}" for name in ("camera_turn", "gravity_turn"
 OF_SPACE = ("poissons_ratio", "tendon_angle_error", "camera_z", *OUT_OF_PLANE)
 OF_STRETCH = ("axial_factor", "shear_factor")
 OF_TENDONS = ("base_gain", "tip_gain", "base_zero", "tip_zero", "slack_offset", "outside_compliance")  # each may differ
-OF_DRIVE = ("slack_offset", "backlash", "lag")
 _OF_BODY = {field.name for field in fields(Manipulator)}
 
 
@@ -148,7 +147,7 @@ def with_parameters(manipulator: Manipulator, parameters: Parameters) -> Manipul
         body = eqx.tree_at(lambda m: [tendon.angle for tendon in m.tendons], body, angles)
     if any(name.startswith("outside_compliance") for name in parameters):
         known = body.tendon_outside_compliance
-        own = [of_tendon(parameters, "outside_compliance", i, known[i - 1]) for i in range(1, body.num_tendons + 1)]
+        own = [own_or_common(parameters, "outside_compliance", i, known[i - 1]) for i in range(1, body.num_tendons + 1)]
         tendons = [replace(t, outside_compliance=C) for t, C in zip(body.tendons, own, strict=True)]
         body = eqx.tree_at(lambda m: m.tendons, body, tuple(tendons))
     return body
@@ -162,15 +161,15 @@ def with_deviation(manipulator: Manipulator, deviation: Float[Array, ""] | None)
     return eqx.tree_at(lambda m: m.friction_coefficient, manipulator, mu)
 
 
-def of_tendon(parameters: Parameters, name: str, tendon: int, otherwise: ArrayLike | None) -> Any:
+def own_or_common(parameters: Parameters, name: str, tendon: int, otherwise: ArrayLike | None) -> Any:
     """A parameter that tendons may have each: `base_gain_2` for tendon 2, or else `base_gain` of all."""
     return parameters.get(f"{name}_{tendon}", parameters.get(name, otherwise))
 
 
-def of_tendons_in(parameters: Parameters, name: str, tendons: int) -> Float[Array, " tendons"]:
-    """As `of_tendon`, for all tendons; where it is no parameter, the usual value."""
+def of_all_tendons(parameters: Parameters, name: str, tendons: int) -> Float[Array, " tendons"]:
+    """As `own_or_common`, for all tendons; where it is no parameter, the usual value."""
     usual = PARAMETERS[name].start
-    return jnp.stack([jnp.asarray(of_tendon(parameters, name, i, usual)) for i in range(1, tendons + 1)])
+    return jnp.stack([jnp.asarray(own_or_common(parameters, name, i, usual)) for i in range(1, tendons + 1)])
 
 
 def turn_of(parameters: Parameters, name: str) -> Float[Array, " 3"] | None:

@@ -22,7 +22,6 @@ from ..statics.status import NOTEWORTHY, Status, words_of
 from ..units import preferred, shown
 from .bench import Bench, BenchModel, Group
 from .camera import frame_hint
-from .course import EACH
 from .parameters import TRIALS, Parameters, parameter_named, unit_of
 from .predictions import noise_of_readings
 from .random_effects import many_levels
@@ -106,8 +105,11 @@ def fit_warnings(fit: "Fit") -> list[str]:
     with_history = [
         table for name, table in zip(fit.model.names, fit.tables, strict=True) if name in fit.without_jitter
     ]
-    if fit.options["history"] == EACH:
-        found.append("each row was followed from rest, with all tensions and tip forces in proportion")
+    found += [
+        f"{table.name}: each row was followed from rest, with all that was set in proportion"
+        for table in with_history
+        if len(table.trials) == len(table) > 1
+    ]
     found += [
         f"{name}: {column} jitters by {shown(one.noise, dimension_of(column))} (standard deviation), and "
         f"{one.num_ignored} of its turns of {shown(one.least_turn, dimension_of(column))} or less are taken for "

@@ -1,0 +1,193 @@
+"""Fits of benches whose tendons are driven by displacement: what they determine, and what they do not."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from refusals import refused
+
+import cddf_jax as cddf
+from cddf_jax.identification.course import course_of
+from cddf_jax.measurements.table import Measurements
+
+D, MU, MODULUS, COMPLIANCE = 0.009, 0.3, 1.4e6, 2e-5  # m, 1, Pa, m/N
+BOTH = ["friction_coefficient", "youngs_modulus"]
+LOOP = 1e-3 * np.array([0, 2, 4, 6, 8, 10, 8, 6, 4, 2, 4, 6, 8, 10, 12, 10, 8, 6, 4, 2, 0.5])  # m
+ANGLE, TENSION = 2e-4, 0.01  # noise, rad and N
+
+
+def robot(modulus=MODULUS, mu=MU, compliance: float | None = COMPLIANCE, tendons=1):
+    own = tuple(cddf.Tendon(D, side, outside_compliance=compliance) for side in (1, -1)[:tendons])
+    numbers = {"youngs_modulus": modulus, "friction_coefficient": mu}
+    return cddf.Manipulator(length=0.14, outer_radius=0.012, inner_radius=0.007, tendons=own, **numbers)
+
+
+def guess(compliance: float | None = 1e-5, tendons=1):
+    return robot(1e6, 0.2, compliance, tendons)
+
+
+def loop(offset=0.0, *, noisy=False, tensions=False, ordered=True):
+    """The loop of one tendon, read by an encoder that shows `offset` where the tendon begins to pull."""
+    history, random = cddf.trace(robot(), [cddf.Displacement(LOOP)]), np.random.default_rng(1)
+    read = {"tip_angle": (history.tip_angle, ANGLE), "tip_tension": (history.tip_tension, TENSION)}
+    columns = {"displacement": LOOP + offset}
+    for name, (values, noise) in read.items():
+        if name == "tip_angle" or tensions:
+            columns[name] = np.asarray(values) + noisy * random.normal(0.0, noise, LOOP.size)
+    columns |= {"step": np.arange(LOOP.size)} if ordered else {}
+    return Measurements.from_columns("simulated", **columns)
+
+
+KNOWN = {"displacement": 0.0, "tip_angle": ANGLE}
+
+
+@pytest.mark.slow
+def test_a_loop_with_tip_tensions_brings_the_truth_back():
+    free = [*BOTH, "slack_offset", "outside_compliance"]
+    found = cddf.fit(guess(), loop(1e-3, tensions=True), free, noise=KNOWN | {"tip_tension": TENSION})
+    assert found.success
+    assert set(found.status.values()) == {"identified"}
+    truth = {"friction_coefficient": MU, "youngs_modulus": MODULUS, "outside_compliance": COMPLIANCE}
+    for name, value in {**truth, "slack_offset": 1e-3}.items():  # the numbers that the data were made with
+        assert abs(found.value[name] - value) < 0.05 * found.standard_error[name]
+    np.testing.assert_allclose(found.manipulator.tendon_outside_compliance, found.value["outside_compliance"])
+
+
+def test_twice_the_modulus_and_half_the_compliance_give_the_same_shape():
+    """Kappa = T d / (E J), and d times the tip angle plus C T is the displacement: T / E and E C decide both."""
+    one, other = (
+        cddf.trace(body, [cddf.Displacement(LOOP)])
+        for body in (robot(), robot(modulus=2 * MODULUS, compliance=COMPLIANCE / 2))
+    )
+    np.testing.assert_allclose(other.tip_angle, one.tip_angle, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(other.tip_tension, 2 * one.tip_tension, rtol=1e-9, atol=1e-9)
+
+
+def test_tip_angles_hold_the_product_of_modulus_and_compliance():
+    free = [*BOTH, "slack_offset", "outside_compliance"]
+    found = cddf.fit(guess(), loop(1e-3, noisy=True), free, noise=KNOWN)
+    assert found.status["youngs_modulus"] == found.status["outside_compliance"] == "not identified"
+    assert found.status["friction_coefficient"] == found.status["slack_offset"] == "identified"
+    (product,) = (line for line in found.verdict if line.startswith("outside_compliance * youngs_modulus"))
+    assert "identified, although its factors are not" in product
+    value = found.value["youngs_modulus"] * found.value["outside_compliance"]
+    assert abs(value / (MODULUS * COMPLIANCE) - 1) < 0.02  # 1.7 % are four standard errors
+    assert abs(found.value["friction_coefficient"] - MU) < 3 * found.standard_error["friction_coefficient"]
+
+
+def test_without_compliance_tip_angles_tell_neither_friction_nor_modulus():
+    """The angle is the displacement over d, whatever friction and modulus are."""
+    angle = LOOP / D
+    table = Measurements.from_columns("simulated", displacement=LOOP, tip_angle=angle, step=np.arange(LOOP.size))
+    found = cddf.fit(guess(0.0), table, BOTH, noise=KNOWN)
+    assert set(found.status.values()) == {"not identified"}
+    np.testing.assert_allclose(found.residuals["simulated: tip_angle"], 0.0, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_rows_without_an_order_are_each_followed_from_rest():
+    pulled = LOOP[:6]
+    history = cddf.trace(robot(), [cddf.Displacement(pulled)])
+    columns = {"displacement": pulled[::-1], "tip_tension": np.asarray(history.tip_tension)[::-1]}
+    table = Measurements.from_columns("simulated", **columns)
+    noise = {"displacement": 0.0, "tip_tension": TENSION}
+    found = cddf.fit(guess(COMPLIANCE), table, BOTH, noise=noise)
+    np.testing.assert_allclose(found.residuals["simulated: tip_tension"], 0.0, atol=1e-6)  # pulled in only
+    assert "simulated: each row was followed from rest, with all that was set in proportion" in found.warnings
+
+
+@pytest.mark.slow
+def test_a_pair_brings_the_truth_back():
+    there = 1e-3 * np.array([0, 4, 8, 10, 6, 2, 0, -4, -8, -6, -3, 0, 3, 6, 9])
+    tension, seen = 0.4e-3, 2e-4  # both tendons are pulled taut by 0.4 mm; 0.2 mm of noise of the camera
+    paths = [cddf.Displacement(way * there + tension) for way in (1, -1)]
+    history, random = cddf.trace(robot(tendons=2), paths), np.random.default_rng(3)
+    assert np.min(history.base_tension) > 1.0  # no tendon is slack
+    x, y = np.asarray(history.tip_position).T + random.normal(0.0, seen, (2, there.size))
+    columns = {"displacement": there, "displacement_2": -there, "tip_x": x, "tip_y": y, "step": np.arange(there.size)}
+    columns["tip_tension"] = np.asarray(history.tip_tension)[:, 0] + random.normal(0.0, TENSION, there.size)
+    table = Measurements.from_columns("simulated", **columns)
+    free = [*BOTH, "slack_offset", "slack_offset_2", "outside_compliance"]
+    noise = {"displacement": 5e-5, "tip_x": seen, "tip_y": seen, "tip_tension": TENSION}
+    found = cddf.fit(guess(tendons=2), table, free, noise=noise)
+    assert set(found.status.values()) == {"identified"}
+    truth = {"friction_coefficient": MU, "youngs_modulus": MODULUS, "outside_compliance": COMPLIANCE}
+    truth |= {"slack_offset": -tension, "slack_offset_2": -tension}
+    for name, value in truth.items():
+        assert abs(found.value[name] - value) < 3 * found.standard_error[name]
+    assert not any("short_steps" in warning for warning in found.warnings)
+
+
+# --- what stands between motor and tendon -----------------------------------------------------------
+
+
+def course(displacement, **columns):
+    table = Measurements.from_columns(
+        "bench", displacement=displacement, tip_angle=np.zeros(len(displacement)), **columns
+    )
+    return course_of(table, {"displacement": 0.0}, timed="time" in columns)[0]
+
+
+def test_backlash_holds_a_tendon_until_the_motor_has_come_back_by_it():
+    path = np.array([0.0, 1.0, 2.0, 1.9, 1.5, 1.7, 2.1])
+    behind = [0.0, 1.0, 2.0, 2.0, 1.8, 1.8, 2.1]  # by hand, with a play of 0.3
+    here = course(path, step=np.arange(7))
+    found = here.true_displacement({"backlash": 0.3}, jnp.asarray(here.readings))
+    np.testing.assert_allclose(found[0, :7, 0], behind, atol=1e-12)
+
+
+def test_a_lag_shows_the_motor_as_it_was_before():
+    path, time = np.array([0.0, 1.0, 3.0, 3.0, 0.0]), np.array([0.0, 1.0, 2.0, 3.0, 4.0])
+    here = course(path, time=time)
+    found = here.true_displacement({"lag": 0.25}, jnp.asarray(here.readings))
+    np.testing.assert_allclose(found[0, :5, 0], [0.0, 0.75, 2.5, 3.0, 0.75], atol=1e-12)  # by hand
+
+
+def test_slack_offsets_belong_to_tendons():
+    table = Measurements.from_columns(
+        "bench", displacement=[1.0, 2.0], displacement_2=[3.0, 5.0], tip_angle=[0.0, 0.0], step=[0, 1]
+    )
+    here = course_of(table, {"displacement": 0.0})[0]
+    found = here.true_displacement({"slack_offset": 0.5, "slack_offset_2": 1.0}, jnp.asarray(here.readings))
+    np.testing.assert_allclose(found[0, :2], [[0.5, 2.0], [1.5, 4.0]])
+
+
+# --- displacements as readings ----------------------------------------------------------------------
+
+
+def test_a_displacement_beside_base_tensions_is_a_reading():
+    """With the tensions known, the displacement is d times the angle plus C T: it holds the compliance."""
+    pulls = np.array([5.0, 10.0, 15.0, 20.0])
+    shown = [cddf.solve(robot(), pull) for pull in pulls]
+    moved = np.array([D * float(one.tip_angle) + COMPLIANCE * T for one, T in zip(shown, pulls, strict=True)])
+    columns = {"base_tension": pulls, "displacement": moved, "tip_angle": [float(one.tip_angle) for one in shown]}
+    table = Measurements.from_columns("simulated", **columns)
+    noise = {"base_tension": 0.0, "displacement": 1e-5, "tip_angle": ANGLE}
+    free = ["youngs_modulus", "outside_compliance"]
+    found = cddf.fit(replace(guess(), friction_coefficient=MU), table, free, noise=noise)
+    assert found.value["youngs_modulus"] == pytest.approx(MODULUS, rel=1e-6)
+    assert found.value["outside_compliance"] == pytest.approx(COMPLIANCE, rel=1e-5)
+
+
+# --- what is refused ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"before": 5.0}, "simulated: before holds tensions, but displacements set the tendons; begin each trial"),
+        ({"free": ["lag"]}, "simulated: lag needs the column time; add it, or do not fit lag"),
+        ({"noise": {"displacement": -1.0}}, "noise of displacement must be one standard deviation in m, 0 or more"),
+    ],
+)
+def test_what_is_refused(options, message):
+    table = Measurements.from_columns("simulated", displacement=LOOP, tip_angle=LOOP, step=np.arange(LOOP.size))
+    assert message in refused(cddf.fit, guess(), table, **{"free": BOTH, **options})
+
+
+def test_a_displacement_that_sets_a_tendon_is_needed_in_every_row():
+    said = refused(Measurements.from_columns, "bench", displacement=[0.0, np.nan], tip_angle=[0.0, 0.1])
+    assert said == "bench: row 2, column displacement: must be finite, got nan; give a number or remove the row"
+    table = Measurements.from_columns("bench", base_tension=[1.0, 2.0], displacement=[1e-3, np.nan], tip_angle=[0, 0])
+    assert table.has("displacement").tolist() == [True, False]
