@@ -119,6 +119,20 @@ def test_a_pair_brings_the_truth_back():
     assert not any("short_steps" in warning for warning in found.warnings)
 
 
+@pytest.mark.slow
+def test_a_plan_asks_for_a_load_cell():
+    """Angles hold E C only; the tension at the tip brings the modulus."""
+    path = {"displacement": LOOP[:10], "step": np.arange(10)}
+    loops = cddf.Candidate("angles again", path, {"tip_angle": ANGLE})
+    cell = cddf.Candidate("a cell at the tip", path, {"tip_tension": TENSION})
+    free = [*BOTH, "outside_compliance"]
+    found = cddf.fit(guess(), loop(), free, noise=KNOWN)
+    ranked = cddf.plan(found, [loops, cell], criterion="youngs_modulus").ranking
+    assert [one.candidate.name for one in ranked] == ["a cell at the tip", "angles again"]
+    assert ranked[0].expected.status["youngs_modulus"] == "identified"
+    assert ranked[1].expected.status["youngs_modulus"] == "not identified"
+
+
 # --- what stands between motor and tendon -----------------------------------------------------------
 
 

@@ -286,6 +286,14 @@ def is_driven_by_length(table: Measurements) -> bool:
     return any(kind_of(column) == "displacement" for column in set_by(table.columns))
 
 
+def each_from_rest(table: Measurements, history: bool | str | None) -> Measurements:
+    """Each row a trial of its own, where that is asked for, and of displacements without a path; else the table."""
+    if "pulling_tension" in table:
+        return table
+    unordered = not (table.ordered if history is None else history)
+    return table.row_by_row() if history == EACH or (unordered and is_driven_by_length(table)) else table
+
+
 def has_history(table: Measurements, history: bool | None) -> bool:
     """Whether the rows of a table are fitted in the order in which they were measured.
 

@@ -20,14 +20,14 @@ from ..estimation.evidence import Evidence
 from ..estimation.observations import Noise
 from ..estimation.parameter_space import Priors, parameter_space, priors_of
 from ..estimation.residuals import no_inputs
-from ..measurements.readings import of_tendons
+from ..measurements.readings import SET, of_tendons
 from ..measurements.table import Measurements
 from ..numerics.given_numbers import check_numbers
 from ..progress import each
 from ..robot.manipulator import Manipulator
 from ..statics.status import NOTEWORTHY, words_of
 from .bench import Bench, Pulley, experiment_of
-from .course import course_of, has_history
+from .course import course_of, each_from_rest, has_history
 from .fit import Fit
 from .parameters import PLAIN, BenchSetting, Parameters, free_parameters, parameter_named, starting_value
 
@@ -246,8 +246,9 @@ def _experiment(body: Manipulator, candidate: Candidate, setting: BenchSetting) 
     """The candidate as a table whose readings are not known yet."""
     conditions = {name: np.atleast_1d(np.asarray(value, float)) for name, value in candidate.conditions.items()}
     count = max(values.size for values in conditions.values()) if conditions else 0
-    for column in of_tendons("base_tension", body.num_tendons)[1:]:
-        conditions.setdefault(column, np.zeros(1))
+    for column, length in zip(*(of_tendons(name, body.num_tendons) for name in SET), strict=True):
+        if column != "base_tension" and length not in conditions:
+            conditions.setdefault(column, np.zeros(1))
     if "weight" in conditions:
         conditions = {name: value for name, value in conditions.items() if not name.startswith("base_tension")}
     name = f"candidate {candidate.name!r}"
@@ -256,10 +257,10 @@ def _experiment(body: Manipulator, candidate: Candidate, setting: BenchSetting) 
         raise InputError(f"{name}: {', '.join(lengths)} must hold 1 or {count} numbers; give lists of one length")
     columns = {column: np.broadcast_to(values, (count,)) for column, values in conditions.items()}
     columns |= {column: np.zeros(count) for column in candidate.noise}
-    table = Measurements.from_columns(name, notes=(), **columns)
+    table = each_from_rest(Measurements.from_columns(name, notes=(), **columns), None)
     course = None
     if has_history(table, None):
-        course = course_of(table, {"base_tension": 0.0}, loaded=setting.loads is not None)[0]
+        course = course_of(table, dict.fromkeys(SET, 0.0), loaded=setting.loads is not None)[0]
     return experiment_of(table, body, course=course, setting=setting, free=("angle_zero",))  # no reading is known yet
 
 

@@ -26,7 +26,7 @@ from ..statics.arguments import refuse_batch
 from ..units import si_unit
 from . import bench
 from .camera import camera_start, check_reach, unexplained_pose
-from .course import CLOSE, EACH, SHORT_STEPS, Course, course_of, has_history, is_driven_by_length
+from .course import CLOSE, EACH, SHORT_STEPS, Course, course_of, each_from_rest, has_history
 from .parameters import (
     PLAIN,
     TRIALS,
@@ -306,8 +306,7 @@ def fit(
     if history not in (None, True, False, EACH):
         raise InputError(f"fit: history must be True, False, None or {EACH!r}, got {history!r}")
     followed = True if history == EACH else history
-    each = [_is_each_from_rest(table, history) for table in tables]
-    tables = tuple(table.row_by_row() if own else table for table, own in zip(tables, each, strict=True))
+    tables = tuple(each_from_rest(table, history) for table in tables)
     own = [tendon.friction_coefficient is not None for tendon in manipulator.tendons]
     if "friction_coefficient" in free and all(own):
         raise InputError("fit: every tendon has its own friction coefficient; leave theirs out to fit a common one")
@@ -358,13 +357,6 @@ def fit(
         raise InputError(f"fit: per_trial {remedy}")
     statistics, spread = fit_trials(search, int(earlier[-1]), start, priors or {}, scales, starts)
     return _conclude(statistics, tables, model, setting, without_jitter, spread, left_out, options)
-
-
-def _is_each_from_rest(table: Measurements, history: bool | str | None) -> bool:
-    """Whether each row of a table is pulled from rest: where that is asked for, and of displacements without a path."""
-    if "pulling_tension" in table or history == EACH:
-        return "pulling_tension" not in table
-    return is_driven_by_length(table) and not (table.ordered if history is None else history)
 
 
 def _without_contradicted(once: Callable[..., Fit]) -> Fit:
