@@ -120,6 +120,20 @@ def test_a_pair_brings_the_truth_back():
 
 
 @pytest.mark.slow
+def test_one_tendon_by_tension_and_another_by_displacement():
+    there, pull = 1e-3 * np.array([0, 4, 8, 10, 6, 2, 6, 9]), np.full(8, 3.0)
+    history = cddf.trace(robot(tendons=2), [pull, cddf.Displacement(there)], nodes=8)
+    columns = {"base_tension": pull, "displacement_2": there, "tip_angle": history.tip_angle, "step": range(8)}
+    table = Measurements.from_columns("simulated", **columns)
+    noise = {"base_tension": 0.0, "displacement": 0.0, "tip_angle": ANGLE}
+    free = ["friction_coefficient", "outside_compliance_2", "slack_offset_2"]
+    found = cddf.fit(robot(mu=0.2, tendons=2), table, free, noise=noise, nodes=8)
+    truth = {"friction_coefficient": MU, "outside_compliance_2": COMPLIANCE, "slack_offset_2": 0.0}
+    for name, value in truth.items():  # the increments differ from those of the path: not exact
+        assert abs(found.value[name] - value) < found.standard_error[name]
+
+
+@pytest.mark.slow
 def test_a_plan_asks_for_a_load_cell():
     """Angles hold E C only; the tension at the tip brings the modulus."""
     path = {"displacement": LOOP[:10], "step": np.arange(10)}

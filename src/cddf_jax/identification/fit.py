@@ -400,6 +400,7 @@ def _split(
 ) -> tuple[dict[str, ArrayLike | Noise], dict[str, float]]:
     """The noise of the predicted columns, and that of what was set."""
     columns = {column for table in tables for column in set_by(table.columns)}
+    columns |= {*map(kind_of_set, columns)} - {column for table in tables for column in table.columns}
     base = {column: given for column, given in noise.items() if column in columns}
     for column, given in base.items():
         if not isinstance(given, Noise):

@@ -427,7 +427,8 @@ def _noise_section(fit: Fit) -> list[str]:
         rows.append([label, size, made_of, _or_dash(alike.lag_one, ".2f"), independent])
     for label, deviation in fit.input_noise.items():
         kind = "estimated" if label in fit.evidence.estimated_inputs else "as given" if deviation else "none is seen"
-        rows.append([label, f"{deviation:.3g} N", kind, "-", "-"])
+        scale, unit = preferred(column_dimension(label.rpartition(": ")[2]) or "dimensionless")
+        rows.append([label, f"{scale * deviation:.3g} {unit}", kind, "-", "-"])
     kind = "estimated from the residuals" if fit.noise_estimated else "as given"
     text = f"Noise {kind}; {fit.degrees_of_freedom} degrees of freedom; rank {fit.rank}; {fit.result}."
     return _section("Noise", [*markdown_table(head, rows), "", text])
