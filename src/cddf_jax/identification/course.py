@@ -368,6 +368,8 @@ def course_of(
         paths.append(given[moved, : len(pulled)])
         forces.append(given[moved, len(pulled) :])
         times += [table["time"][own]] if timed else []
+        if timed and np.any(np.diff(times[-1]) < 0):
+            raise InputError(f"{table.name}: lag needs times that rise in the order of the column step; correct one")
         found += steadied
         first.append(own[0])
     places = [f"{table.name}: {table.place(int(row))}" for row in first]
