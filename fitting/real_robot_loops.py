@@ -112,7 +112,7 @@ def figure(loops: list[Loop], every: list[dict[str, cddf.Fit]]) -> Figure:
             for name, colour in colours.items():
                 if found[name].success:
                     axes.plot(x, 1e3 * (left - found[name].residuals[label]), color=colour, label=name)
-            axes.text(0.04, 0.96, loop.table.name, transform=axes.transAxes, va="top")
+            axes.set_title(loop.table.name)
         for axes in panels[6:]:
             axes.set(xlabel="Displacement (mm)")
         panels[3].set(ylabel="Tip across, less the fit without friction (mm)")

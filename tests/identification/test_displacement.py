@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -161,15 +162,23 @@ def test_backlash_holds_a_tendon_until_the_motor_has_come_back_by_it():
     path = np.array([0.0, 1.0, 2.0, 1.9, 1.5, 1.7, 2.1])
     behind = [0.0, 1.0, 2.0, 2.0, 1.8, 1.8, 2.1]  # by hand, with a play of 0.3
     here = course(path, step=np.arange(7))
-    found = here.true_displacement({"backlash": 0.3}, jnp.asarray(here.readings))
-    np.testing.assert_allclose(found[0, :7, 0], behind, atol=1e-12)
+
+    def followed(play):
+        return here.true_displacement({"backlash": play}, jnp.asarray(here.readings))[0, :7, 0]
+
+    np.testing.assert_allclose(followed(0.3), behind, atol=1e-12)
+    np.testing.assert_allclose(jax.jacfwd(followed)(0.3), [0, 0, 0, 0, 1, 1, 0], atol=1e-12)  # where it is dragged back
 
 
 def test_a_lag_shows_the_motor_as_it_was_before():
     path, time = np.array([0.0, 1.0, 3.0, 3.0, 0.0]), np.array([0.0, 1.0, 2.0, 3.0, 4.0])
     here = course(path, time=time)
-    found = here.true_displacement({"lag": 0.25}, jnp.asarray(here.readings))
-    np.testing.assert_allclose(found[0, :5, 0], [0.0, 0.75, 2.5, 3.0, 0.75], atol=1e-12)  # by hand
+
+    def shown(lag):
+        return here.true_displacement({"lag": lag}, jnp.asarray(here.readings))[0, :5, 0]
+
+    np.testing.assert_allclose(shown(0.25), [0.0, 0.75, 2.5, 3.0, 0.75], atol=1e-12)  # by hand
+    np.testing.assert_allclose(jax.jacfwd(shown)(0.25), [0.0, -1.0, -2.0, 0.0, 3.0], atol=1e-12)  # less the slope
 
 
 def test_slack_offsets_belong_to_tendons():
