@@ -28,7 +28,7 @@ TABLE = Path(__file__).resolve().parents[1] / "data/opencr_v4/single_pulls.csv"
 OUT = "out/fitting/real_robot_loops"
 ENDS = (0.060, 0.1225, 0.1865)  # m, of the segments
 LENGTH = 0.18825  # m, up to the marker
-BENDING_STIFFNESS = 50e9 * np.pi / 4 * 0.0005**4  # N m^2, of the rod with the modulus that its origin assumed
+RADIUS, MODULUS = 0.0005, 50e9  # m, Pa, of the rod; the modulus was assumed by the origin of the data
 OFFSET = 0.0045  # m
 FIRST = 2  # rows of a trial that come before, in which other tendons still move
 BENCH = ("slack_offset", "outside_compliance", "camera_x", "camera_y", "camera_turn_z")
@@ -66,7 +66,12 @@ def robot(tendon: int, friction: float) -> cddf.Manipulator:
     """The body with one of its tendons, from 0."""
     own = cddf.Tendon(OFFSET, end=ENDS[tendon // 3], outside_compliance=1.5e-4)
     return cddf.Manipulator(
-        length=LENGTH, bending_stiffness=BENDING_STIFFNESS, friction_coefficient=friction, tendons=[own]
+        length=LENGTH,
+        outer_radius=RADIUS,
+        inner_radius=0.0,
+        youngs_modulus=MODULUS,
+        friction_coefficient=friction,
+        tendons=[own],
     )
 
 

@@ -9,7 +9,8 @@ import pytest
 from refusals import refused
 
 import cddf_jax as cddf
-from cddf_jax.identification.course import course_of
+from cddf_jax.identification.bench import experiment_of
+from cddf_jax.identification.course import course_of, paths_of
 from cddf_jax.measurements.table import Measurements
 
 D, MU, MODULUS, COMPLIANCE = 0.009, 0.3, 1.4e6, 2e-5  # m, 1, Pa, m/N
@@ -190,6 +191,45 @@ def test_slack_offsets_belong_to_tendons():
     np.testing.assert_allclose(found[0, :2], [[0.5, 2.0], [1.5, 4.0]])
 
 
+def test_trials_stay_where_each_row_is_pulled_from_rest():
+    """Their friction may differ, and bootstraps draw them whole."""
+    table = Measurements.from_columns("bench", displacement=[1e-3, 2e-3] * 2, tip_angle=np.zeros(4), trial=[*"aabb"])
+    rows = paths_of(table, None)
+    here = course_of(table, {"displacement": 0.0}, paths=rows)[0]
+    bench = experiment_of(table, robot(), course=here)
+    assert here.each_from_rest
+    assert bench.in_order is None
+    assert bench.trial[here.first_row].tolist() == [0, 0, 1, 1]
+
+
+def test_where_a_tendon_begins_to_pull_does_not_contradict_a_direction():
+    """-2 mm is pulled in from a slack tendon, whatever the encoder shows there."""
+    assert course([-2e-3, 1e-3, 4e-3, 2e-3], direction=[1, 1, 1, -1], step=range(4)).readings[0, 0, 0] == -2e-3
+    table = Measurements.from_columns(
+        "bench", displacement=[2e-3, 1e-3], direction=[1, 1], tip_angle=[0, 0], step=[0, 1]
+    )
+    assert "is 1, but displacement falls there from 2 mm to 1 mm; correct" in refused(course_of, table)
+
+
+def test_a_lag_asks_only_tables_of_displacement_for_times():
+    pulled = Measurements.from_columns("bench", base_tension=[1.0, 2.0], tip_angle=[0, 0], step=[0, 1])
+    assert course_of(pulled, timed=True)[0].time is None
+    said = refused(course, [0.0, 1e-3, 2e-3], time=[0.0, 1.0, 1.0])
+    assert "row 3, column time: lag needs times that rise with the rows; give times with more digits" in said
+
+
+def test_turns_of_either_kind_of_column_are_told_in_its_unit():
+    """Jitter of 1 um, which is below 1 % of the path, beside tensions that are exact."""
+    there = np.repeat(1e-3 * np.array([1.0, 5.0, 9.0]), 6) + 1e-6 * np.random.default_rng(1).normal(size=18)
+    columns = {"base_tension": np.arange(1.0, 19.0), "displacement_2": there, "tip_angle": np.zeros(18)}
+    table = Measurements.from_columns("bench", **columns, step=range(18))
+    found = course_of(table)[1]
+    assert list(found) == ["base_tension", "displacement_2"]
+    assert found["base_tension"].num_ignored == 0
+    assert found["displacement_2"].num_ignored > 0
+    assert found["displacement_2"].noise == pytest.approx(1e-6, rel=0.5)
+
+
 # --- displacements as readings ----------------------------------------------------------------------
 
 
@@ -202,9 +242,13 @@ def test_a_displacement_beside_base_tensions_is_a_reading():
     table = Measurements.from_columns("simulated", **columns)
     noise = {"base_tension": 0.0, "displacement": 1e-5, "tip_angle": ANGLE}
     free = ["youngs_modulus", "outside_compliance"]
-    found = cddf.fit(replace(guess(), friction_coefficient=MU), table, free, noise=noise)
+    start = replace(guess(), friction_coefficient=MU)
+    found = cddf.fit(start, table, free, noise=noise)
     assert found.value["youngs_modulus"] == pytest.approx(MODULUS, rel=1e-6)
     assert found.value["outside_compliance"] == pytest.approx(COMPLIANCE, rel=1e-5)
+    setting = cddf.BenchSetting(given={"outside_compliance": COMPLIANCE})
+    known = cddf.fit(start, table, ["youngs_modulus"], noise=noise, setting=setting)
+    np.testing.assert_allclose(known.manipulator.tendon_outside_compliance, COMPLIANCE)  # it is that of the body
 
 
 # --- what is refused ----------------------------------------------------------------------------------

@@ -391,7 +391,8 @@ def test_the_course_of_several_tendons():
     """Jitter of either cell is no step; forces that change begin with none, those that stay rest on the body first."""
     rng = np.random.default_rng(6)
     second = np.repeat(20.0, 20) + 0.02 * rng.normal(size=20)
-    course, steady = course_of(pair_table(base_tension_2=second))
+    course, found = course_of(pair_table(base_tension_2=second))
+    steady = found["base_tension_2"]
     assert course.short_steps == 4
     assert course.tip_force is None
     assert course.readings.shape == (1, 20, 2)
@@ -630,8 +631,8 @@ def test_rows_that_become_one_level_are_named():
     """Rows 5 and 6 fall by less than the noise."""
     tension = LOOP.copy()
     tension[4:6] = [26.0, 25.9]
-    steady = course_of(table(tension), {"base_tension": 0.5})[1]
-    assert merged_in_words(steady, table(tension)) == " (row 5 to row 6 are 25.95 N)"
+    steady = course_of(table(tension), {"base_tension": 0.5})[1]["base_tension"]
+    assert merged_in_words(steady, table(tension), "base_tension") == " (row 5 to row 6 are 25.95 N)"
 
 
 def test_derivatives_by_base_tensions_follow_the_memory(fitted):

@@ -15,7 +15,7 @@ from ..errors import InputError, within
 from ..figures.geometry import lines_along, stations
 from ..files.manipulator_file import manipulator_text
 from ..identification.bench import Bench, experiment_of
-from ..identification.course import course_of, has_history
+from ..identification.course import course_of, is_driven_by_length, paths_of
 from ..identification.parameters import BenchSetting
 from ..measurements.table import Measurements
 from ..mechanics.directions import as_directions
@@ -198,8 +198,8 @@ class Exploration:
         good solve.
         """
         found = []
-        for table in self.tables:
-            followed = has_history(table, None) and table not in self.not_followed
+        for table in self.drawn:
+            followed = paths_of(table, None) and table not in self.not_followed
             course = course_of(table)[0] if followed else None
             rows = experiment_of(table, body, course=course, setting=self.setting)
             if isinstance(rows, Bench) and not rows.on_one_curve:
@@ -207,9 +207,14 @@ class Exploration:
         return found
 
     @property
+    def drawn(self) -> list[Measurements]:
+        """The tables whose rows can be drawn over base tensions; those of displacements can be fitted alone."""
+        return [table for table in self.tables if not is_driven_by_length(table)]
+
+    @property
     def not_followed(self) -> list[Measurements]:
         """Tables with a history whose rows are drawn without it: of several tendons or loads."""
-        return [table for table in self.tables if has_history(table, None) and not self._is_exact(table)]
+        return [table for table in self.drawn if paths_of(table, None) and not self._is_exact(table)]
 
     def _is_exact(self, table: Measurements) -> bool:
         """Whether a history of these rows has an exact answer: one tendon without loads."""
@@ -221,7 +226,9 @@ class Exploration:
         """Notes on the tables."""
         read_as = [line for table in self.tables for line in table.read_as]
         why = "each row is drawn as an equilibrium of its own; a fit follows the order of the rows"
-        return read_as + [f"{table.name}: {why}" for table in self.not_followed]
+        fitted = [f"{table.name}: driven by displacement, so it is fitted and not drawn" for table in self.tables]
+        not_drawn = [note for note, table in zip(fitted, self.tables, strict=True) if table not in self.drawn]
+        return read_as + [f"{table.name}: {why}" for table in self.not_followed] + not_drawn
 
     def tapers(self, settings: Settings, angle: float) -> tuple[Taper, Taper]:
         """The results for the manipulator's own taper and for that of the settings, with everything else as set.

@@ -66,7 +66,7 @@ class ExplorerView:
         self.body = SpacePlot(body) if body.in_space else BodyPlot(body, s)
         self.along = AlongPlots(self.body.over_arc_length, body.num_tendons, s)
         self.tension = TensionPlots(body.num_tendons)
-        pulled = [table for table in exploration.tables if "base_tension" in table]
+        pulled = [table for table in exploration.drawn if "base_tension" in table]
         self._show_points("data", [(table, table.columns) for table in pulled])
         self._make_controls()
         self._make_words()

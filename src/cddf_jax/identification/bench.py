@@ -137,6 +137,13 @@ class Bench(eqx.Module):
             return not self.course.turns and not any(self.course.by_length)
         return not any(np.any(np.asarray(stated) < 0) for stated in self.direction if stated is not None)
 
+    @property
+    def in_order(self) -> bool | None:
+        """Whether the rows are followed in their order; None: each from rest."""
+        if self.course is None:
+            return False
+        return None if self.course.each_from_rest else True
+
     def components(self, manipulator: Manipulator) -> int:
         """How many components positions have in the rows; static."""
         loads, force = self.setting.loads, self.tip_force
@@ -410,7 +417,7 @@ def _check_tip_angles(table: Measurements, bench: Bench, *, zero_is_free: bool) 
     angle = np.asarray(table["tip_angle"]) - float(bench.setting.given.get("angle_zero", 0.0))
     noise, zero = min(ANGLE_NOISE, ANGLE_SHARE * np.nanmax(np.abs(angle))), 0.0
     if zero_is_free:  # the reading nearest to rest shows it
-        zero = min(np.nan_to_num(angle[np.argmin(np.sum(bench.actuation, axis=1))]), 0.0)
+        zero = min(np.nan_to_num(angle[np.argmin(np.sum(np.abs(bench.actuation), axis=1))]), 0.0)
     bad = np.flatnonzero((angle > np.pi) | (angle < zero - noise))
     if bad.size:
         got, more = shown(table["tip_angle"][bad[0]], "angle"), f" (and {bad.size - 1} more)" if bad.size > 1 else ""

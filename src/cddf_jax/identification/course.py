@@ -155,6 +155,11 @@ class Course(eqx.Module):
         return np.asarray(self.step) <= first[np.asarray(self.trial)]
 
     @property
+    def each_from_rest(self) -> bool:
+        """Whether each row is a path of its own, from rest."""
+        return np.shape(self.readings)[1] == 1 and self.past is None
+
+    @property
     def past_in_words(self) -> list[str]:
         """The past of each trial, as in `Past.in_words`."""
         return [REST] * len(self.first_row) if self.past is None else self.past.in_words
@@ -229,18 +234,19 @@ def _with_backlash(play: ArrayLike, path: Float[Array, "steps tendons"]) -> Floa
 
 
 def between(course: Course, points: int) -> tuple[Course, list[np.ndarray]]:
-    """The same paths with `points` points along each, every point a row, trial by trial; and these paths, N."""
-    paths, readings = [], np.asarray(course.readings)[..., 0]
+    """The same paths with `points` points along each, every point a row, trial by trial; and these paths, N or m."""
+    paths, times, readings = [], [], np.asarray(course.readings)[..., 0]
     for k in range(len(readings)):
         steps = np.arange(np.max(np.asarray(course.step)[np.asarray(course.trial) == k]) + 1)
         places = np.union1d(np.linspace(0, steps[-1], points), steps)
         paths.append(np.interp(places, steps, readings[k, : steps.size]))
+        times += [] if course.time is None else [np.interp(places, steps, course.time[k, : steps.size])]
     sizes = [path.size for path in paths]
     trial, step = np.repeat(np.arange(len(paths)), sizes), np.concatenate([*map(np.arange, sizes)])
     first_row = np.cumsum([0, *sizes[:-1]])
     columns = [path[:, None] for path in paths]
     none = [0 * path for path in columns]
-    return _course(columns, none, trial, step, first_row, course.past, None, course.by_length), paths
+    return _course(columns, none, trial, step, first_row, course.past, None, course.by_length, times or None), paths
 
 
 def _course(
@@ -267,6 +273,7 @@ def _course(
         above = [] if past is None else [2 * max(np.max(readings), np.max(np.asarray(past.stated)), 1.0)]
         above = [np.max(readings) + 1, np.min(readings) - 1] if any(by_length) else above  # it may be pulled from slack
         most = max(_most_open(np.append(above, path)) for path in paths)
+        most *= 1 if times is None else 2  # the turns of a lagging path lie elsewhere
     stays = bool(np.all(force == force[:, :1])) and tip_force is not None
     time = None
     if times is not None:
@@ -282,36 +289,34 @@ def tip_forces(table: Measurements) -> Float[np.ndarray, "rows components"]:
 
 
 def is_driven_by_length(table: Measurements) -> bool:
-    """Whether displacements set any tendon. Then tendons may be slack, and rows are followed at least from rest."""
+    """Whether displacements set any tendon, which may then be slack."""
     return any(kind_of(column) == "displacement" for column in set_by(table.columns))
 
 
-def each_from_rest(table: Measurements, history: bool | str | None) -> Measurements:
-    """Each row a trial of its own, where that is asked for, and of displacements without a path; else the table."""
-    if "pulling_tension" in table:
-        return table
-    unordered = not (table.ordered if history is None else history)
-    return table.row_by_row() if history == EACH or (unordered and is_driven_by_length(table)) else table
-
-
-def has_history(table: Measurements, history: bool | None) -> bool:
-    """Whether the rows of a table are fitted in the order in which they were measured.
+def paths_of(table: Measurements, history: bool | str | None) -> list[np.ndarray] | None:
+    """The rows of each path that is followed, in order; None where each row slides as its direction says.
 
     Args:
         table: any.
-        history: as in `fit`; None: where a column gives the order.
+        history: as in `fit`; None: the order that a column gives. Displacements without an order are each pulled from
+            rest.
 
     Raises:
         InputError: where rows between others are missing.
     """
-    if "pulling_tension" in table or not (table.ordered if history is None else history):
-        return is_driven_by_length(table)
+    ordered = table.ordered if history is None else history
+    if "pulling_tension" in table:
+        return None
+    if history == EACH or (is_driven_by_length(table) and not ordered):
+        return [np.array([row]) for row in range(len(table))]
+    if not ordered:
+        return None
     if table.left_out and not table.ordered:
         raise InputError(
             f"{table.name}: {table.left_out} rows without a reading are left out, but the path from row to row needs "
             "them; add a column step, and these rows are kept"
         )
-    return True
+    return table.trials
 
 
 def course_of(
@@ -320,10 +325,11 @@ def course_of(
     starts: Sequence[Start] | None = None,
     short_steps: int = SHORT_STEPS,
     *,
+    paths: Sequence[np.ndarray] | None = None,
     loaded: bool = False,
     timed: bool = False,
-) -> tuple[Course, Steady]:
-    """The rows of a table as steps of paths, and what was set without the jitter of its readings.
+) -> tuple[Course, dict[str, Steady]]:
+    """The rows of a table as steps of paths, and by column what was set without the jitter of its readings.
 
     Args:
         table: of a body with any number of tendons.
@@ -331,8 +337,9 @@ def course_of(
             `base_tension` or `displacement` holds for all columns without one.
         starts: how each trial begins; None: from rest.
         short_steps: into how many increments each step is divided where the answer is not exact.
+        paths: the rows of each path; None: those of each trial.
         loaded: whether there are loads besides the tip forces, which are the same in all rows.
-        timed: whether the body may come after the motors, so that the times of the rows count.
+        timed: whether the body may come after motors, so that the times of the rows count.
 
     Raises:
         InputError: for a column `direction` of a single tendon that contradicts the order of the rows, a largest
@@ -341,12 +348,12 @@ def course_of(
     rows, force = len(table), tip_forces(table)
     pulled = set_by(table.columns)
     by_length = tuple(kind_of(column) == "displacement" for column in pulled)
-    if timed and "time" not in table:
-        raise InputError(f"{table.name}: lag needs the column time; add it, or do not fit lag")
     exact = len(pulled) == 1 and not np.any(force) and not loaded
-    trial, step, tension = np.zeros(rows, int), np.zeros(rows, int), np.zeros(rows)
-    paths, forces, times, found, first = [], [], [], [], []
-    starts = [Start()] * len(table.trials) if starts is None else starts
+    rows_of_paths = table.trials if paths is None else paths
+    timed &= any(by_length) and max(map(len, rows_of_paths)) > 1
+    trial, step = np.zeros(rows, int), np.zeros(rows, int)
+    every, times, found, first = [], [], [], []
+    starts = [Start()] * len(rows_of_paths) if starts is None else starts
     known = noise or {}
     if any(by_length) and not all(start.from_rest for start in starts):
         raise InputError(
@@ -358,26 +365,49 @@ def course_of(
             f"{table.name}: before holds tensions of {len(start.tension)} tendons, but there are {len(pulled)} columns "
             "of base tensions; give one tension for each column"
         )
-    for own, start in zip(table.trials, starts, strict=True):
+    for own, start in zip(rows_of_paths, starts, strict=True):
         steadied = [_steady(table[column][own], known.get(column, known.get(kind_of_set(column)))) for column in pulled]
         if exact:
             _check_directions(table, own, steadied[0], start)
         given = np.stack([*(steady.tension for steady in steadied), *force[own].T], axis=1)
         moved = np.append(True, np.any(np.diff(given, axis=0) != 0, axis=1) | timed)
-        trial[own], step[own], tension[own] = len(paths), np.cumsum(moved) - 1, steadied[0].tension
-        paths.append(given[moved, : len(pulled)])
-        forces.append(given[moved, len(pulled) :])
-        times += [table["time"][own]] if timed else []
-        if timed and np.any(np.diff(times[-1]) < 0):
-            raise InputError(f"{table.name}: lag needs times that rise in the order of the column step; correct one")
-        found += steadied
+        trial[own], step[own] = len(every), np.cumsum(moved) - 1
+        every.append(given[moved])
+        times += [_times(table, own)] if timed else []
+        found.append(steadied)
         first.append(own[0])
     places = [f"{table.name}: {table.place(int(row))}" for row in first]
-    past = past_of(starts, np.array([path[0] for path in paths]), places)
+    tensions, forces = ([path[:, part] for path in every] for part in (slice(len(pulled)), slice(len(pulled), None)))
+    past = past_of(starts, np.array([path[0] for path in tensions]), places)
     of_rows = trial, step, np.array(first)
-    course = _course(paths, forces, *of_rows, past, None if exact else short_steps, by_length, times if timed else None)
-    noisiest = max(found, key=lambda steady: steady.noise)
-    return course, noisiest._replace(tension=tension, num_ignored=sum(steady.num_ignored for steady in found))
+    short = None if exact else short_steps
+    course = _course(tensions, forces, *of_rows, past, short, by_length, times if timed else None)
+    steady = {column: _together(rows_of_paths, own) for column, *own in zip(pulled, *found, strict=True)}
+    return course, steady
+
+
+def _together(rows: Sequence[np.ndarray], found: Sequence[Steady]) -> Steady:
+    """The readings of all paths without jitter; the noise is that of the noisiest path."""
+    noisiest, level = max(found, key=lambda steady: steady.noise), np.zeros(sum(map(len, rows)))
+    for own, steady in zip(rows, found, strict=True):
+        level[own] = steady.tension
+    return noisiest._replace(tension=level, num_ignored=sum(steady.num_ignored for steady in found))
+
+
+def _times(table: Measurements, rows: np.ndarray) -> np.ndarray:
+    """The times of a path, s, at which displacements can be looked up."""
+    if "time" not in table:
+        raise InputError(f"{table.name}: lag needs the column time; add it, or do not fit lag")
+    time, moved = table["time"][rows], np.zeros(len(rows), bool)
+    for column in set_by(table.columns):
+        moved[1:] |= np.diff(table[column][rows]) != 0
+    bad = np.flatnonzero((np.diff(time, prepend=-np.inf) < 0) | (moved & (np.diff(time, prepend=-np.inf) == 0)))
+    if bad.size:
+        raise InputError(
+            f"{table.name}: {table.place(int(rows[bad[0]]))}, column time: lag needs times that rise with the rows; "
+            "give times with more digits, in the order of the rows"
+        )
+    return time
 
 
 def _steady(readings: np.ndarray, noise: float | None) -> Steady:
@@ -392,12 +422,13 @@ def _check_directions(table: Measurements, rows: np.ndarray, steady: Steady, sta
     if "direction" not in table:
         return
     (column,) = set_by(table.columns)
-    dimension = dimension_of(column)
+    dimension, by_length = dimension_of(column), is_driven_by_length(table)
     stated = start.tension[0] if start.tension else None
     before = np.append(0.0 if stated is None else stated, steady.tension[:-1])
     moved = steady.tension - before
     sure = np.abs(moved) > max(steady.least_turn, NO_STEP * np.max(steady.tension))
     sure[0] &= not any(start.parameters)  # a fitted tension decides the way to the first row
+    sure[0] &= not by_length  # where a tendon begins to pull is not known
     wrong = np.flatnonzero(sure & (moved * table["direction"][rows] < 0))
     if wrong.size:
         i = int(wrong[0])
@@ -405,7 +436,7 @@ def _check_directions(table: Measurements, rows: np.ndarray, steady: Steady, sta
         raise InputError(
             f"{table.name}: {table.place(int(rows[i]))}, column direction: is {label}, but {column} {way} there from "
             f"{shown(before[i], dimension)} to {shown(steady.tension[i], dimension)}; correct the label or "
-            f"the order of the rows, or {WITHOUT}"
+            f"the order of the rows, or {'leave the column direction out' if by_length else WITHOUT}"
         )
 
 

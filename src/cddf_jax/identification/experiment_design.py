@@ -27,7 +27,7 @@ from ..progress import each
 from ..robot.manipulator import Manipulator
 from ..statics.status import NOTEWORTHY, words_of
 from .bench import Bench, Pulley, experiment_of
-from .course import course_of, each_from_rest, has_history
+from .course import course_of, paths_of
 from .fit import Fit
 from .parameters import PLAIN, BenchSetting, Parameters, free_parameters, parameter_named, starting_value
 
@@ -144,7 +144,7 @@ def plan(
     if criterion != "D" and criterion not in evidence.space.names:
         raise InputError(f"plan: criterion {criterion!r} is neither D nor one of {', '.join(evidence.space.names)}")
     rows = [
-        _rows(_experiment(body, one, setting), body, parameters, one, evidence.size, nodes)
+        _rows(_experiment(body, one, setting, parameters), body, parameters, one, evidence.size, nodes)
         for one in each("candidate", candidates)
     ]
     ranking = tuple(ranked for ranked, _ in _rank(evidence, candidates, rows, criterion))
@@ -242,7 +242,9 @@ def _rows(
     return np.where(np.isfinite(rows), rows, 0.0), tuple(warnings)
 
 
-def _experiment(body: Manipulator, candidate: Candidate, setting: BenchSetting) -> Pulley | Bench:
+def _experiment(
+    body: Manipulator, candidate: Candidate, setting: BenchSetting, parameters: Parameters
+) -> Pulley | Bench:
     """The candidate as a table whose readings are not known yet."""
     conditions = {name: np.atleast_1d(np.asarray(value, float)) for name, value in candidate.conditions.items()}
     count = max(values.size for values in conditions.values()) if conditions else 0
@@ -257,10 +259,11 @@ def _experiment(body: Manipulator, candidate: Candidate, setting: BenchSetting) 
         raise InputError(f"{name}: {', '.join(lengths)} must hold 1 or {count} numbers; give lists of one length")
     columns = {column: np.broadcast_to(values, (count,)) for column, values in conditions.items()}
     columns |= {column: np.zeros(count) for column in candidate.noise}
-    table = each_from_rest(Measurements.from_columns(name, notes=(), **columns), None)
-    course = None
-    if has_history(table, None):
-        course = course_of(table, dict.fromkeys(SET, 0.0), loaded=setting.loads is not None)[0]
+    table = Measurements.from_columns(name, notes=(), **columns)
+    course, paths = None, paths_of(table, None)
+    if paths:
+        how = {"paths": paths, "loaded": setting.loads is not None, "timed": "lag" in (*parameters, *setting.given)}
+        course = course_of(table, dict.fromkeys(SET, 0.0), **how)[0]
     return experiment_of(table, body, course=course, setting=setting, free=("angle_zero",))  # no reading is known yet
 
 

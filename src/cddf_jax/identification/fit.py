@@ -26,7 +26,7 @@ from ..statics.arguments import refuse_batch
 from ..units import si_unit
 from . import bench
 from .camera import camera_start, check_reach, unexplained_pose
-from .course import CLOSE, EACH, SHORT_STEPS, Course, course_of, each_from_rest, has_history
+from .course import CLOSE, EACH, SHORT_STEPS, Course, course_of, paths_of
 from .parameters import (
     PLAIN,
     TRIALS,
@@ -57,7 +57,7 @@ class Fit(LeastSquaresFit):
     trial_effects: dict[str, Estimate]  # by table and trial, ln(mu of the trial / mu); empty without `per_trial`
     trial_spread: float  # standard deviation of ln(mu) over trials; 0 if none was found, NaN without `per_trial`
     solve_results: tuple[SolveResults, ...]  # how the solves of each table of the manipulator ended
-    without_jitter: dict[str, Steady]  # by table with a history, the base tensions without the jitter of their cell
+    without_jitter: dict[str, Steady]  # by table and column that was set, of tables with a history
     setting: BenchSetting  # what all rows share
     left_out: LeftOut  # by file, the rows whose readings were left out
     options: dict[str, object]  # the arguments of `fit` besides body and data, and the names of the free parameters
@@ -305,8 +305,6 @@ def fit(
         tables, left_out = without(tables, leave_out)
     if history not in (None, True, False, EACH):
         raise InputError(f"fit: history must be True, False, None or {EACH!r}, got {history!r}")
-    followed = True if history == EACH else history
-    tables = tuple(each_from_rest(table, history) for table in tables)
     own = [tendon.friction_coefficient is not None for tendon in manipulator.tendons]
     if "friction_coefficient" in free and all(own):
         raise InputError("fit: every tendon has its own friction coefficient; leave theirs out to fit a common one")
@@ -319,13 +317,14 @@ def fit(
     earlier = np.cumsum([0, *(len(_trials(table)) for table in tables)])
     with within("fit"):
         noise, of_base = _split(noise or {}, tables)
-        courses, guesses = _courses(manipulator, tables, followed, before, free, of_base, short_steps, setting)
+        courses, guesses = _courses(manipulator, tables, history, before, free, of_base, short_steps, setting)
     experiments = (
         bench.experiment_of(table, manipulator, int(first), course and course[0], setting, free=free)
         for table, first, course in zip(tables, earlier, courses, strict=False)
     )
     model = bench.BenchModel(manipulator, tuple(experiments), nodes)
-    without_jitter = {name: course[1] for name, course in zip(model.names, courses, strict=True) if course}
+    named = zip(model.names, courses, strict=True)
+    without_jitter = {f"{name}: {own}": one for name, each in named if each for own, one in each[1].items()}
     groups = bench.groups_of(tables, model)
     for name in setting.markers:
         if not any(marker_column(group.column) == (axis, name) for group in groups for axis in "xyz"):
@@ -373,22 +372,23 @@ def _without_contradicted(once: Callable[..., Fit]) -> Fit:
 def _courses(
     manipulator: Manipulator,
     tables: Sequence[Measurements],
-    history: bool | None,
+    history: bool | str | None,
     before: Before,
     free: Sequence[str],
     noise: Mapping[str, float],
     short_steps: int,
     setting: BenchSetting,
-) -> tuple[list[tuple[Course, Steady] | None], dict[str, tuple[float, float]]]:
+) -> tuple[list[tuple[Course, dict[str, Steady]] | None], dict[str, tuple[float, float]]]:
     """The course of each table, None without a history; guesses of pasts."""
-    with_history = [has_history(table, history) for table in tables]
-    counts = [len(table.trials) if on else 0 for table, on in zip(tables, with_history, strict=True)]
+    paths = [paths_of(table, history) for table in tables]
+    counts = [len(own or ()) for own in paths]
     starts = starts_of(counts, before, free, manipulator.num_tendons)
-    of_tables = zip(tables, with_history, starts, strict=True)
     timed = "lag" in (*free, *setting.given)
     courses = [
-        course_of(table, noise, starts, short_steps, loaded=setting.loads is not None, timed=timed) if on else None
-        for table, on, starts in of_tables
+        course_of(table, noise, own, short_steps, paths=rows, loaded=setting.loads is not None, timed=timed)
+        if rows
+        else None
+        for table, rows, own in zip(tables, paths, starts, strict=True)
     ]
     known = [(own, course[0]) for own, course in zip(starts, courses, strict=True) if course]
     first = [(own, np.asarray(course.readings)[:, 0]) for own, course in known]
@@ -468,7 +468,7 @@ def _conclude(
     effects = [estimate(statistics.value[n], statistics.evidence.uncertainty(row[None])) for n, row in rows.items()]
     return Fit(
         **found | {field: {n: found[field][n] for n in own} | more for field, more in of_fixed.items()},
-        manipulator=with_parameters(body, statistics.parameters),
+        manipulator=with_parameters(body, {**setting.given, **statistics.parameters}),
         tables=tables,
         model=model,
         trial_effects=dict(zip(trials, effects, strict=True)) if effects else {},

@@ -19,6 +19,7 @@ from scipy.special import stdtr, stdtrit
 
 from ..errors import InputError
 from ..measurements.jitter import without_jitter
+from ..measurements.readings import set_by
 from ..measurements.table import Measurements
 from ..measurements.table_warnings import ONE_LEVEL
 
@@ -117,7 +118,7 @@ def model_free_friction(table: Measurements, *, in_order: bool | None = None) ->
         if column not in table:
             remedy = f"friction without a model needs {', '.join(COLUMNS)}; add the column or use fit"
             raise InputError(f"{table.name}: no column {column!r}; {remedy}")
-    if "base_tension_2" in table and "direction" not in table:
+    if len(set_by(table.columns)) > 1 and "direction" not in table:
         remedy = "add it: 1 where tendon 1 slides in, -1 where it slides out"
         raise InputError(f"{table.name}: several tendons and no column 'direction'; {remedy}")
     base, tip, angle = table["base_tension"], table["tip_tension"], np.abs(table["tip_angle"])
@@ -272,7 +273,8 @@ def model_free_loop(table: Measurements) -> ModelFreeLoop:
     for column in OF_LOOP:
         if column not in table:
             raise InputError(f"{table.name}: no column {column!r}; a loop needs {' and '.join(OF_LOOP)}")
-    if "base_tension_2" in table or any(name.startswith("tip_force") and np.any(table[name]) for name in table.columns):
+    pushed = any(name.startswith("tip_force") and np.any(table[name]) for name in table.columns)
+    if pushed or len(set_by(table.columns)) > 1:
         raise InputError(f"{table.name}: a loop without a model needs one tendon and no force on the tip; use fit")
     used = branch = np.where((table["base_tension"] > 0) & (table["tip_tension"] > 0), branches(table), 0.0)
     loss = _regression(table, branch > 0, branch)[0][1] if np.count_nonzero(branch > 0) >= LEAST_ROWS else 0.0

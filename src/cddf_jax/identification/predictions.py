@@ -192,7 +192,7 @@ def model_loops(fit: "Fit", group: Group) -> list[ModelCurve]:
     """The model along the path of each trial, in its order; [] where no path turns, or there is no exact answer."""
     bench = group.experiment
     course = bench.course if isinstance(bench, Bench) and not bench.on_one_curve else None
-    if not isinstance(bench, Bench) or course is None or course.short_steps is not None:
+    if not isinstance(bench, Bench) or course is None or course.short_steps is not None or course.each_from_rest:
         return []
     own = None if bench.trial is None else np.asarray(bench.trial)[np.asarray(course.first_row)]
     course, paths = between(course, GRID)

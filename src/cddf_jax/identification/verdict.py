@@ -102,21 +102,21 @@ def doubt(ends: Sequence[SolveResults]) -> str:
 def fit_warnings(fit: "Fit") -> list[str]:
     """Warnings about the tables, the statistics and the solver, at the estimate."""
     found = [f"{table.name}: {warning}" for table, own in _warnings_of_tables(fit) for warning in own]
-    with_history = [
-        table for name, table in zip(fit.model.names, fit.tables, strict=True) if name in fit.without_jitter
+    benches = [
+        (name, table, one)
+        for name, table, one in zip(fit.model.names, fit.tables, fit.model.experiments, strict=True)
+        if isinstance(one, Bench)
     ]
     found += [
-        f"{table.name}: each row was followed from rest, with all that was set in proportion"
-        for table in with_history
-        if len(table.trials) == len(table) > 1
+        f"{name}: each row was followed from rest, with all that was set in proportion"
+        for name, table, one in benches
+        if one.in_order is None and len(table) > 1
     ]
     found += [
-        f"{name}: {column} jitters by {shown(one.noise, dimension_of(column))} (standard deviation), and "
-        f"{one.num_ignored} of its turns of {shown(one.least_turn, dimension_of(column))} or less are taken for "
-        f"noise{merged_in_words(one, table)}; if they are real, give the noise of {column}"
-        for (name, one), table in zip(fit.without_jitter.items(), with_history, strict=True)
-        if one.num_ignored
-        for column in set_by(table.columns)[:1]
+        _jitter_in_words(name, table, column, steady)
+        for name, table, _ in benches
+        for column in set_by(table.columns)
+        if (steady := fit.without_jitter.get(f"{name}: {column}")) and steady.num_ignored
     ]
     for label in fit.evidence.estimated_inputs:
         noise = shown(fit.input_noise[label], dimension_of(kind_of_set(label.rpartition(": ")[2])))
@@ -175,7 +175,7 @@ def drift_of(fit: "Fit", group: Group) -> str:
     step times reading.
     """
     course = group.experiment.course if isinstance(group.experiment, Bench) else None
-    if course is None:
+    if course is None or course.each_from_rest:
         return ""
     last = np.zeros(len(course.first_row))
     np.maximum.at(last, course.trial, course.step)
@@ -191,15 +191,24 @@ def drift_of(fit: "Fit", group: Group) -> str:
     )
 
 
-def merged_in_words(steady: Steady, table: Measurements) -> str:
+def _jitter_in_words(name: str, table: Measurements, column: str, steady: Steady) -> str:
+    """What was ignored of a column as noise."""
+    noise, least = (shown(size, dimension_of(kind_of_set(column))) for size in (steady.noise, steady.least_turn))
+    return (
+        f"{name}: {column} jitters by {noise} (standard deviation), and {steady.num_ignored} of its turns of {least} "
+        f"or less are taken for noise{merged_in_words(steady, table, column)}; if they are real, give the noise of "
+        f"{column}"
+    )
+
+
+def merged_in_words(steady: Steady, table: Measurements, column: str) -> str:
     """Which rows became one level of what was set."""
-    column = set_by(table.columns)[0]
     runs = (
         (rows[one.first], rows[one.last], one.tension)
         for rows in table.trials
         for one in merged_levels(table[column][rows], steady.tension[rows])
     )
-    unit = dimension_of(column)
+    unit = dimension_of(kind_of_set(column))
     every = [f"{table.place(first)} to {table.place(last)} are {shown(level, unit)}" for first, last, level in runs]
     levels, more = every[:SHOWN], len(every) - SHOWN
     return f" ({'; '.join(levels)}{f'; and {more} more levels' if more > 0 else ''})" if levels else ""
@@ -223,7 +232,8 @@ def _warnings_of_tables(fit: "Fit") -> Iterator[tuple[Measurements, tuple[str, .
     for table, experiment in zip(fit.tables, fit.model.experiments, strict=True):
         course = experiment.course if isinstance(experiment, Bench) else None
         from_rest = course is None or course.past is None
-        yield table, warnings_of(table, in_order=course is not None, from_rest=from_rest)
+        in_order = experiment.in_order if isinstance(experiment, Bench) else False
+        yield table, warnings_of(table, in_order=in_order, from_rest=from_rest)
 
 
 def _differ_by_trial(fit: "Fit", group: Group) -> bool:

@@ -179,14 +179,6 @@ class Measurements:
         trial = self.trial[self.order]
         return [self.order[trial == number] for number in np.unique(trial)]
 
-    def row_by_row(self) -> "Measurements":
-        """The same rows, each a trial of its own."""
-        rows, number = range(len(self)), self.trial
-        columns = {**self.columns, "trial": np.arange(len(self), dtype=float), "step": np.zeros(len(self))}
-        labels = tuple(self.trial_labels[number[row]] if self.files else str(self.rows[row]) for row in rows)
-        files = tuple(self.files[number[row]] for row in rows) if self.files else ()
-        return replace(self, columns=columns, trial_labels=labels, files=files)
-
     def place(self, row: int) -> str:
         """The place of a row in words: "row 7", counted as in the file; with several files "row 7 of run_2.csv".
 

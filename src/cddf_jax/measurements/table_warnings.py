@@ -19,17 +19,18 @@ ONE_LEVEL = 0.01  # base tensions that vary by less, relative to the largest, ar
 _LARGEST_ANGLE = {"wrap_angle": 10 * np.pi, "tip_angle": 2 * np.pi}  # larger ones are probably degrees
 
 
-def warnings_of(table: "Measurements", *, in_order: bool, from_rest: bool = True) -> tuple[str, ...]:
+def warnings_of(table: "Measurements", *, in_order: bool | None, from_rest: bool = True) -> tuple[str, ...]:
     """Warnings, one line each, for the report; a warning about columns names the first of them.
 
     Args:
         table: of measurements.
-        in_order: whether its rows have a history.
+        in_order: whether its rows have a history; None: each is pulled from rest.
         from_rest: whether the trials begin at rest.
     """
     of_rows = [look(table) for look in (_one_row, _repeated_rows, _one_level)]
     of_past = [partial(_tip_above_base, in_order=in_order)] if from_rest else []
-    looks = _below_zero, *of_past, _starts_anew if in_order else _coming_down, _large_angle
+    of_order = {True: [_starts_anew], False: [_coming_down], None: []}[in_order]
+    looks = _below_zero, *of_past, *of_order, _large_angle
     of_columns = [next(filter(None, (look(table, column) for column in table.columns)), "") for look in looks]
     return tuple(filter(None, of_rows + of_columns))
 
@@ -70,12 +71,12 @@ def _below_zero(table: "Measurements", column: str) -> str:
     return _rows_with(table, values < 0, f"{column} below 0", lambda i: f"{values[i]:.4g} N", remedy)
 
 
-def _tip_above_base(table: "Measurements", column: str, *, in_order: bool) -> str:
+def _tip_above_base(table: "Measurements", column: str, *, in_order: bool | None) -> str:
     """Rows in which all of the tendon slides in: with a history those at the largest base tension so far."""
     pull, way = column.replace("tip", "base"), column.replace("tip_tension", "direction")
     if not column.startswith("tip_tension") or pull not in table:
         return ""
-    if "base_tension_2" in table and (in_order or way not in table):
+    if len(set_by(table.columns)) > 1 and (in_order or way not in table):
         return ""  # of several tendons any may slide out while another is pulled
     base, tip = table[pull], table[column]
     sliding_in = table.columns.get(way, np.ones(len(table))) > 0
@@ -110,7 +111,7 @@ def _starts_anew(table: "Measurements", column: str) -> str:
 def _coming_down(table: "Measurements", column: str) -> str:
     """Rows below the row before them that are not a new start at the lowest level of their trial."""
     stated = column.replace("base_tension", "direction")
-    several = "base_tension_2" in table or any(name.startswith("tip_force") for name in table.columns)
+    several = len(set_by(table.columns)) > 1 or any(name.startswith("tip_force") for name in table.columns)
     if not column.startswith("base_tension") or (stated in table and several):
         return ""
     order = table.order

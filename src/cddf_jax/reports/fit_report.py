@@ -101,17 +101,23 @@ def _model_free(fit: Fit) -> dict[str, ModelFree]:
         return {}
     from ..identification.model_free import COLUMNS, model_free_friction
 
-    found, mu = {}, "friction_coefficient"
+    found, mu, in_order = {}, "friction_coefficient", _in_order(fit)
     for name, table in _from_rest(fit, COLUMNS):
         if len(table) >= LEAST_ROWS:
             with suppress(InputError):  # no row is bent
-                friction = model_free_friction(table, in_order=name in fit.without_jitter)
+                friction = model_free_friction(table, in_order=in_order[name])
                 away = None
                 if mu in fit.names and np.isfinite(fit.standard_error[mu]):
                     error = float(np.hypot(friction.standard_error, fit.standard_error[mu]))
                     away = (fit.value[mu] - friction.value) / error if error > 0 else None
                 found[name] = ModelFree(friction, away)
     return found
+
+
+def _in_order(fit: Fit) -> dict[str, bool]:
+    """By table, whether its rows were followed in their order."""
+    named = zip(fit.model.names, fit.model.experiments, strict=True)
+    return {name: isinstance(one, Bench) and bool(one.in_order) for name, one in named}
 
 
 def _from_rest(fit: Fit, columns: Collection[str]) -> Iterator[tuple[str, Measurements]]:
@@ -132,7 +138,7 @@ def _loops(fit: Fit) -> dict[str, LoopCompared]:
 
     found = {}
     for name, table in _from_rest(fit, ("base_tension", "tip_tension")):
-        if name in fit.without_jitter:
+        if _in_order(fit)[name]:
             with suppress(InputError):  # not released far enough
                 loop, tension = model_free_loop(table), float(table["base_tension"].max())
                 found[name] = LoopCompared(loop, float(1 / solve(body, tension).tip_tension[0]) - 1 / tension)
@@ -465,9 +471,10 @@ def _figure_section(results: FitResults, figures: Sequence[str] | None) -> list[
 def _stated(fit: Fit) -> list[str]:
     lines = [f"Kinematics {fit.manipulator.kinematics}, loss {fit.loss}.", *fit.setting.in_words]
     lines += [f"marker {n} of {t.name}: {m}" for t in fit.tables for n, m in t.markers.items()]
-    if fit.without_jitter:
-        courses = [one.course for one in fit.model.experiments if isinstance(one, Bench) and one.course is not None]
-        past = [words for course in courses for words in course.past_in_words]
+    named = zip(fit.model.names, fit.model.experiments, strict=True)
+    courses = {name: one.course for name, one in named if isinstance(one, Bench) and one.course is not None}
+    if courses:
+        past = [words for course in courses.values() for words in course.past_in_words]
         past = past if len(set(past)) > 1 else past[:1]  # "rest", or where trials differ "rest, 80 N"
-        lines.append(f"With history: {', '.join(fit.without_jitter)}. Before the first row: {', '.join(past)}.")
+        lines.append(f"With history: {', '.join(courses)}. Before the first row: {', '.join(past)}.")
     return lines + (["Holds were averaged."] if any(table.holds_averaged for table in fit.tables) else [])
