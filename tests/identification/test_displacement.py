@@ -149,6 +149,14 @@ def test_a_plan_asks_for_a_load_cell():
     assert ranked[1].expected.status["youngs_modulus"] == "not identified"
 
 
+@pytest.mark.slow
+def test_a_plan_knows_the_lag():
+    """The angle moves with the displacement, so that a loop at a known speed shows the time between them."""
+    loops = cddf.Candidate("a loop", {"displacement": LOOP, "time": np.arange(LOOP.size)}, {"tip_angle": ANGLE})
+    (ranked,) = cddf.plan(robot(), [loops], ["lag"]).ranking
+    assert ranked.expected.status["lag"] == "identified"
+
+
 # --- what stands between motor and tendon -----------------------------------------------------------
 
 
