@@ -72,6 +72,17 @@ def test_a_body_of_two_pieces_and_a_tendon_that_stretches():
     assert history.stored_energy[0] > stretch
 
 
+@pytest.mark.parametrize("friction", [0.0, 0.42])
+def test_a_tendon_that_ends_before_the_tip(friction):
+    """Without friction a loop gives all its work back; with friction it loses what it does not store."""
+    tendon = cddf.Tendon(0.0045, end=0.06)
+    body = cddf.Manipulator(length=0.18, tendons=(tendon,), bending_stiffness=2.5e-3, friction_coefficient=friction)
+    history = cddf.trace(body, [2.0, 4.0, 2.0, 0.0])
+    assert residual(history) < 1e-9
+    if friction == 0:
+        np.testing.assert_allclose(history.work[2:], [history.work[0], 0.0], atol=1e-9 * history.work[1])
+
+
 @pytest.mark.slow
 def test_the_published_moment_does_not_do_the_work_of_the_tendon():
     history = cddf.trace(paper_body("published"), LOOP)

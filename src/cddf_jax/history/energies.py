@@ -7,6 +7,7 @@ tension. Both integrands are smooth, and Gauss rules are exact to rounding error
 first closes the loop that began there.
 """
 
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -92,7 +93,7 @@ def _motion(
     before = _slide(part, nodes, -direction, jnp.where(from_rest, tension, turned_at))
 
     def passing(arc_length: Number) -> Number:
-        there = jnp.where(from_rest, 0.0, before.at(part, arc_length)[1][0])
+        there = jnp.where(from_rest, 0.0, before.tension(part, arc_length))
         return _tension_when_passing(body, nodes, turned_at, direction, arc_length, there)
 
     edges = before.cut.edges
@@ -147,7 +148,7 @@ def _all_slides_at(
     """
     body, turned_at, tension = jax.lax.stop_gradient((body, turned_at, tension))
     length = jnp.asarray(body.length)
-    there = _slide(body, nodes, -direction, turned_at).at(body, length)[1][0]
+    there = _slide(body, nodes, -direction, turned_at).tension(body, length)
     found = _tension_when_passing(body, nodes, turned_at, direction, length, jnp.where(from_rest, 0.0, there))
     lowest, highest = jnp.minimum(turned_at, tension), jnp.maximum(turned_at, tension)
     return jax.lax.stop_gradient(jnp.where(jnp.isfinite(found), jnp.clip(found, lowest, highest), tension))
@@ -164,6 +165,11 @@ class _Slide(NamedTuple):
 
     def _state(self, arc_length: Number) -> State:
         return self.cut.interpolate(self.starts, self.nodes, self.ends, arc_length)
+
+    def tension(self, body: Manipulator, arc_length: Number) -> Number:
+        """T, N; beyond the anchor of the tendon that at the anchor."""
+        section = replace(guarded_section(body, arc_length), present=None)
+        return tension_of(section, self.base_tension, self._state(arc_length).pull)[0]
 
     def at(self, body: Manipulator, arc_length: Number) -> tuple[AnySection, PerTendon, Array]:
         """Cross-section, tension, N, and M_ext, N m."""
