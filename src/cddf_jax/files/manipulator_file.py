@@ -12,6 +12,7 @@
     kinematics = "published"             # optional, "exact" unless given
     offsets_outside_wall = true          # optional: tendons may run in the bore or outside the body
     mass_per_length = "0.12 kg/m"        # optional: mass besides density, such as many discs or cables
+    friction_moment = "2 mN m"           # optional, none unless given: of friction inside the body
     stiffness_factor = 0.93              # optional, 1 unless given: multiplies all stiffnesses, as a fit finds it
     gravity = ["0 m/s^2", "-9.81 m/s^2"] # optional, none unless given: how the base is mounted against it; see below
 
@@ -24,6 +25,8 @@
     axial_stiffness = "12 kN"            # optional, E A of the tendon, which does not stretch unless given
     free_length = "300 mm"               # optional, 0 unless given: outside the body, up to the actuator
     outside_compliance = "0.02 mm/N"     # optional, free_length / axial_stiffness unless given
+    outside_friction = 0.3               # optional, none unless given: mu times wrap angle of a sheath or pulleys
+    outside_drag = "0.5 N"               # optional, none unless given: friction there, whatever the tension
 
     [[point_mass]]                       # one such table per disc, camera or magnet, if there are any
     at = "140 mm"                        # arc length
@@ -100,10 +103,13 @@ _STIFFNESSES = ("bending_stiffness", "torsional_stiffness", "axial_stiffness", "
 _PROFILES = (*_RADII, "youngs_modulus", *_STIFFNESSES, "mass_per_length")
 _NUMBERS = (
     *("friction_coefficient", "density", "drag", "yield_strain", "poissons_ratio"),
-    *("stiffness_factor", "axial_factor", "shear_factor"),
+    *("stiffness_factor", "axial_factor", "shear_factor", "friction_moment"),
 )
 _TENDON_PROFILES = ("offset", "angle")
-_TENDON_NUMBERS = ("end", "friction_coefficient", "axial_stiffness", "free_length", "outside_compliance", "drag")
+_TENDON_NUMBERS = (
+    *("end", "friction_coefficient", "axial_stiffness", "free_length", "drag"),
+    *("outside_compliance", "outside_friction", "outside_drag"),
+)
 _REQUIRED = ("length", *_RADII, "youngs_modulus", "friction_coefficient", "tendons")
 _SWITCHES = ("extensible", "offsets_outside_wall")
 _OTHERS = ("kinematics", "rest_curvature", "gravity", *_SWITCHES, "name", "description", "point_mass", "cross_sections")

@@ -2,7 +2,11 @@
 
 Tensions and strains belong to the nodes, slips to the elements between them. With the weights of the trapezoidal rule
 the jump of a tension across an element and the slip of the tendon there are work-conjugate. A joint is an element
-without length, across which a tendon may turn. One more element without length follows the tip.
+without length, across which a tendon may turn. One more element without length follows the tip, and where tendons
+have friction outside the body, one comes before the base: tensions there are those at the actuators.
+
+A body with friction of its own keeps its strain until that without this friction differs by more than a limit from it,
+and follows at this distance (a play operator in the curvature, in space in both its components at once).
 """
 
 from functools import partial
@@ -41,6 +45,14 @@ class Node(NamedTuple):
     moment: Array | None  # M_ext, N m; None without loads
 
 
+class Outside(NamedTuple):
+    """The friction of the tendons before the base, by elements; zero in all others."""
+
+    here: Float[Array, " K"]  # 1 in the element before the base
+    friction: PerTendon  # (K, tendons), mu times wrap angle
+    drag: PerTendon  # (K, tendons), N
+
+
 class Given(NamedTuple):
     """What acts on the body at one instant."""
 
@@ -61,6 +73,7 @@ class Grid(eqx.Module):
     widths: Float[Array, " K"]  # of the element after each node, m
     stretch: PerTendon  # strain of each tendon per tension, 1/N
     free_stretch: PerTendon  # elongation per tension of the tendon outside the body, m/N
+    outside: Outside | None  # None where no tendon has friction before the base
 
     @property
     def geometry(self) -> Geometry:
@@ -93,20 +106,45 @@ class Grid(eqx.Module):
         """The length, m, that stands for one unit of a goal."""
         return {"displacement": 1.0, "tip_angle": self.scale}.get(goal.quantity, self.softness)
 
-    def at(self, node: Node, section: AnySection, force: Array | None) -> tuple[Array, PerTendon]:
-        """The strain of a cross-section in equilibrium, and the slip per arc length of its tendons."""
-        geometry, tension = self.geometry, where_present(section, node.tension)
-        moment = jnp.asarray(geometry.no_moment, tension.dtype) if node.moment is None else node.moment
-        strain = geometry.strain(section, tension, node.heading, moment, force, None)
-        return strain, geometry.slip_rate(section, strain, tension, self.stretch)
+    def free_strain(self, node: Node, section: AnySection, force: Array | None) -> Array:
+        """The strain of a cross-section in equilibrium, without friction of the body."""
+        tension = where_present(section, node.tension)
+        moment = jnp.asarray(self.geometry.no_moment, tension.dtype) if node.moment is None else node.moment
+        return self.geometry.strain(section, tension, node.heading, moment, force, None)
 
-    def at_all(self, nodes: Node, force: Array | None) -> tuple[Array, Array]:
+    def at(self, node: Node, section: AnySection, force: Array | None, held: Array | None) -> tuple[Array, PerTendon]:
+        """The strain of a cross-section in equilibrium, and the slip per arc length of its tendons.
+
+        `held`: the strain before, or this strain itself; None without friction of the body.
+        """
+        strain = self._held_back(section, self.free_strain(node, section, force), held)
+        return strain, self.geometry.slip_rate(section, strain, where_present(section, node.tension), self.stretch)
+
+    def _held_back(self, section: AnySection, free: Array, held: Array | None) -> Array:
+        """The strain that friction of the body leaves behind that without it."""
+        if held is None:
+            return free
+        limit = jnp.asarray(self.manipulator.friction_moment) / self.geometry.bending_stiffness(section)
+        apart = self.geometry.bending_part(free - held)
+        size = jnp.sum(apart**2)
+        share = limit / jnp.sqrt(jnp.where(size > limit**2, size, 1.0))
+        return free - jnp.where(size > limit**2, share, 1.0) * apart
+
+    def at_all(self, nodes: Node, force: Array | None, held: Array | None) -> tuple[Array, Array]:
         """As `at`, for all K nodes."""
-        return jax.vmap(self.at)(jax.tree.map(lambda x: x[:-1], nodes), self.sections, force)
+        return jax.vmap(self.at)(jax.tree.map(lambda x: x[:-1], nodes), self.sections, force, held)
 
-    def elements(self, given: Given) -> "Element":
-        pairs = jax.tree.map(lambda x: jnp.stack([x, jnp.concatenate([x[1:], x[-1:]])], axis=1), self.sections)
-        return Element(pairs, self.weights, self.widths, given.force, given.moment)
+    def moment_of_friction(self, nodes: Node, force: Array | None, held: Array) -> Float[Array, "K *strains"]:
+        """By which friction of the body holds against the bending moment, N m, in the frame of each cross-section."""
+        free = jax.vmap(self.free_strain)(jax.tree.map(lambda x: x[:-1], nodes), self.sections, force)
+        return self.sections.stiffness * self.geometry.bending_part(free - held)
+
+    def elements(self, given: Given, held: Array | None) -> "Element":
+        def pairs(values: Array) -> Array:
+            return jnp.stack([values, jnp.concatenate([values[1:], values[-1:]])], axis=1)
+
+        sections, held = jax.tree.map(pairs, (self.sections, held))
+        return Element(sections, held, self.weights, self.widths, given.force, given.moment, self.outside)
 
 
 def cut_into_elements(
@@ -131,18 +169,37 @@ def cut_into_elements(
     behind, ahead = jnp.concatenate([none, widths], axis=1), jnp.concatenate([widths, none], axis=1)
     sections = jax.vmap(partial(guarded_section, manipulator))(inside.ravel())
     compliance = manipulator.tendon_compliance
+    outside, places, weights, widths = None, places.ravel(), ((behind + ahead) / 2).ravel(), ahead.ravel()
+    if manipulator.rubs_outside:
+        places, sections = jax.tree.map(lambda x: jnp.concatenate([x[:1], x]), (places, sections))
+        weights, widths = (jnp.concatenate([jnp.zeros_like(x[:1]), x]) for x in (weights, widths))
+        outside = _outside(manipulator, places.size)
     grid = Grid(
         manipulator,
-        places.ravel(),
+        places,
         sections,
-        ((behind + ahead) / 2).ravel(),
-        ahead.ravel(),
+        weights,
+        widths,
         compliance,
         manipulator.tendon_outside_compliance,
+        outside,
     )
     # where tendons that do not stretch rest together, their tensions are those of equal, very stiff tendons
     stiffest = STIFFEST * grid.softness / grid.places[-1]
     return eqx.tree_at(lambda grid: grid.stretch, grid, jnp.maximum(compliance, stiffest))
+
+
+def _outside(manipulator: Manipulator, count: int) -> Outside:
+    """The friction before the base, for `count` elements of which it is the first."""
+    here = jnp.zeros_like(jnp.asarray(manipulator.length), shape=count).at[0].set(1.0)
+    friction, drag = (
+        jnp.stack([jnp.asarray(0.0 if own is None else own) for own in every])
+        for every in (
+            [tendon.outside_friction for tendon in manipulator.tendons],
+            [tendon.outside_drag for tendon in manipulator.tendons],
+        )
+    )
+    return Outside(here, here[:, None] * friction, here[:, None] * drag)
 
 
 def loads_on(grid: Grid, loads: Loads) -> tuple[Float[Array, "K components"], Float[Array, "K *components"]]:
@@ -163,10 +220,12 @@ class Element(NamedTuple):
     """The known numbers of an element."""
 
     sections: AnySection  # at its ends; leading axis 2
+    held: Array | None  # the strains there before; None without friction of the body
     weight: Number  # of the node before it, m
     width: Number  # m
     force: Array | None  # of the loads beyond its middle, N
     moment: Array | None  # of the loads at a point, between its ends, N m
+    outside: Outside | None
 
 
 class Missing(NamedTuple):
@@ -190,7 +249,7 @@ class Along(NamedTuple):
 
 def along(grid: Grid, element: Element, start: Node, end: Node) -> Along:
     both = jax.tree.map(lambda a, b: jnp.stack([a, b]), start, end)
-    strains, slips = jax.vmap(grid.at, (0, 0, None))(both, element.sections, element.force)
+    strains, slips = jax.vmap(grid.at, (0, 0, None, 0))(both, element.sections, element.force, element.held)
     mean, turn = jnp.mean(strains, axis=0), grid.geometry.turned(element.width, element.sections, strains)
     step = None
     if start.heading is not None:
@@ -207,9 +266,13 @@ def missing(grid: Grid, element: Element, start: Node, end: Node) -> Missing:
     """
     there, geometry = along(grid, element, start, end), grid.geometry
     before, beyond = jax.tree.map(lambda x: x[0], element.sections), jax.tree.map(lambda x: x[1], element.sections)
-    limit = jnp.tanh(before.friction_coefficient * there.turn / 2) * (start.tension + end.tension)
+    exponent, constant = before.friction_coefficient * there.turn, 0.0
     if before.drag is not None:
-        limit = limit + element.width * before.drag
+        constant = element.width * before.drag
+    if element.outside is not None:
+        exponent = (1.0 - element.outside.here) * exponent + element.outside.friction
+        constant = constant + element.outside.drag
+    limit = jnp.tanh(exponent / 2) * (start.tension + end.tension) + constant
     limit = where_present(before, where_present(beyond, limit))
     heading = moment = None
     if there.step is not None and element.force is not None:  # under loads

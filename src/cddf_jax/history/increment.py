@@ -30,6 +30,7 @@ class OnGrid(NamedTuple):
     nodes: Node  # leading axis K + 1; the last one is beyond the tip
     share: PerElement  # z of each element
     converged: Bool[Array, ""]
+    held: Float[Array, "K *strains"] | None  # the strains of a body with friction of its own; None without
 
 
 class Setting(eqx.Module):
@@ -65,7 +66,11 @@ def after_increment(setting: Setting) -> OnGrid:
 
     Derivatives are those of the equations.
     """
-    return OnGrid(*_after_increment(setting))
+    nodes, share, converged = _after_increment(setting)
+    held = setting.before.held
+    if held is not None:
+        held = setting.grid.at_all(nodes, setting.given.force, held)[0]
+    return OnGrid(nodes, share, converged, held)
 
 
 @eqx.filter_custom_jvp
@@ -185,7 +190,7 @@ class Rows(NamedTuple):
 
 
 def _rows_of_all(setting: Setting, nodes: Node, law: _Law) -> Rows:
-    elements = setting.grid.elements(setting.given)
+    elements = setting.grid.elements(setting.given, setting.before.held)
     rows = jax.vmap(partial(_rows, setting.grid))(elements, law, *_ends_of_elements(nodes))
     return Rows(rows, _driven_gap(setting, nodes))
 
@@ -198,7 +203,7 @@ def _rows(grid: Grid, element: Element, law: _Law, start: Node, end: Node) -> Ar
     """The residuals of an element."""
     lacks = missing(grid, element, start, end)
     limit = lacks.limit
-    if grid.sections.drag is not None:  # it takes no more than the tension
+    if grid.sections.drag is not None or grid.outside is not None:  # it takes no more than the tension
         left = jnp.maximum(start.tension, 0.0)
         limit = jnp.where((law.level > 0) & (limit > left), left, limit)
     coulomb = lacks.drop - limit * (law.level + law.slope * (end.slip - law.slip))
@@ -245,7 +250,7 @@ def _correction(setting: Setting, nodes: Node, law: _Law, missed: Rows) -> Node:
         return _rows(setting.grid, element, law, _node(nodes, known, sought), _node(nodes, known_end, sought_end))
 
     starts, ends = map(jax.vmap(_flat), _ends_of_elements(nodes))
-    elements = setting.grid.elements(setting.given)
+    elements = setting.grid.elements(setting.given, setting.before.held)
     slopes = jax.vmap(jax.jacfwd(rows, (2, 3, 4, 5)))(elements, law, *starts, *ends)
     change, by_tension = _swept(nodes, slopes, missed.elements, setting.driven)
     if not setting.driven:

@@ -48,13 +48,14 @@ def at_rest(grid: Grid, given: Given, loads: Loads | None) -> Instant:
         upright, no_moment = (jnp.asarray(x, still.dtype) for x in (geometry.upright, geometry.no_moment))
         heading, moment = (jnp.zeros((count, *x.shape), still.dtype) + x for x in (upright, no_moment))
     if loads is not None and given.force is not None:
-        found = solve(grid.manipulator, still, loads, direction=1.0, throw=False)
+        found = solve(grid.manipulator.without_memory(), still, loads, direction=1.0, throw=False)
         state = jax.vmap(found._dense.state)(jnp.append(grid.places, grid.places[-1]))
         heading, moment, good = state.heading, state.moment, found._dense.solved
     nodes = Node(none, heading, none, moment)
-    slip = jnp.cumsum((grid.weights[:, None] * grid.at_all(nodes, given.force)[1])[::-1], axis=0)[::-1]
+    strain, rate = grid.at_all(nodes, given.force, None)
+    slip = jnp.cumsum((grid.weights[:, None] * rate)[::-1], axis=0)[::-1]
     nodes = nodes._replace(slip=jnp.concatenate([slip, none[:1]]))
-    body = OnGrid(nodes, none[1:], good)
+    body = OnGrid(nodes, none[1:], good, None if grid.manipulator.friction_moment is None else strain)
     settled = after_increment(Setting(grid, given, body, ())) if loads is not None else body
     instant = Instant(given, settled, none[1:], none[0, 0], none[0, 0])
     return instant._replace(work=stored_in(grid, instant))
@@ -71,9 +72,17 @@ def moved(grid: Grid, driven: tuple[Goal, ...], before: Instant, given: Given) -
     pulled_in = grid.pulled_in(new) - grid.pulled_in(old)
     slid = new.slip[1:] - old.slip[1:]
     lost = jnp.sum(mean(-jnp.diff(old.tension, axis=0), -jnp.diff(new.tension, axis=0)) * slid)
+    if body.held is not None and before.body.held is not None:
+        held = mean(
+            grid.moment_of_friction(old, before.given.force, before.body.held),
+            grid.moment_of_friction(new, given.force, body.held),
+        )
+        per_length = (held * (body.held - before.body.held)).reshape(grid.weights.size, -1)
+        lost = lost + jnp.sum(grid.weights[:, None] * per_length)
     by_loads = jnp.zeros_like(lost)
     if given.force is not None:
-        steps = jax.tree.map(jnp.subtract, _along(grid, given, new).step, _along(grid, before.given, old).step)
+        found = _along(grid, given, body).step, _along(grid, before.given, before.body).step
+        steps = jax.tree.map(jnp.subtract, *found)
         assert old.heading is not None
         assert new.heading is not None
         turn = jax.vmap(grid.geometry.turn_from)(old.heading, new.heading)
@@ -89,9 +98,9 @@ def moved(grid: Grid, driven: tuple[Goal, ...], before: Instant, given: Given) -
     )
 
 
-def _along(grid: Grid, given: Given, nodes: Node) -> Along:
-    starts, ends = jax.tree.map(lambda x: x[:-1], nodes), jax.tree.map(lambda x: x[1:], nodes)
-    return jax.vmap(partial(along, grid))(grid.elements(given), starts, ends)
+def _along(grid: Grid, given: Given, body: OnGrid) -> Along:
+    starts, ends = jax.tree.map(lambda x: x[:-1], body.nodes), jax.tree.map(lambda x: x[1:], body.nodes)
+    return jax.vmap(partial(along, grid))(grid.elements(given, body.held), starts, ends)
 
 
 # --- results at an instant -----------------------------------------------------------------------
@@ -108,7 +117,7 @@ class Shape(NamedTuple):
 def shape_of(grid: Grid, instant: Instant) -> Shape:
     """Heading, position and wrap angle."""
     nodes, geometry = instant.body.nodes, grid.geometry
-    found = _along(grid, instant.given, nodes)
+    found = _along(grid, instant.given, instant.body)
 
     def onwards(heading: Array, part: tuple[Number, Array]) -> tuple[Array, tuple[Array, Array]]:
         width, strain = part
@@ -139,7 +148,7 @@ def under_no_loads(grid: Grid, instant: Instant) -> Instant:
 def stored_in(grid: Grid, instant: Instant) -> Number:
     """The energy of bending and of the stretch of the tendons, J."""
     nodes, geometry = instant.body.nodes, grid.geometry
-    strain, shorter = grid.at_all(nodes, instant.given.force)
+    strain, shorter = grid.at_all(nodes, instant.given.force, instant.body.held)
     tension = where_present(grid.sections, nodes.tension[:-1])
     bare = jax.vmap(geometry.slip_rate, (0, 0, 0, None))(grid.sections, strain, tension, 0.0 * grid.stretch)
     elastic = jax.vmap(geometry.elastic)(grid.sections, strain)
@@ -153,7 +162,7 @@ def fields_of_instant(grid: Grid, instant: Instant, shape: Shape, arc_length: Nu
     places, nodes = grid.places, instant.body.nodes
     i = jnp.clip(jnp.sum(places <= arc_length) - 1, 0, places.size - 2)
     width = places[i + 1] - places[i]
-    largest = jnp.max(nodes.tension)
+    largest, moments = jnp.max(nodes.tension), _bending_moments(grid, instant, shape)
 
     def state(s: Number) -> State:
         part = (s - places[i]) / jnp.where(width > 0, width, 1.0)
@@ -165,19 +174,25 @@ def fields_of_instant(grid: Grid, instant: Instant, shape: Shape, arc_length: Nu
         if grid.geometry.has_frames:
             heading = heading / jnp.linalg.norm(heading)
         force = None if instant.given.force is None else instant.given.force[i]
-        if force is None and not grid.geometry.has_frames:
-            force = jnp.zeros(2, places.dtype)
-        moment = (
-            jnp.zeros_like(jnp.asarray(grid.geometry.no_moment, places.dtype))
-            if nodes.moment is None
-            else at(nodes.moment)
-        )
+        if force is None and (moments is not None or not grid.geometry.has_frames):
+            force = jnp.zeros(grid.geometry.components, places.dtype)
+        moment = jnp.asarray(grid.geometry.no_moment, places.dtype) if moments is None else at(moments)
         pull = Pull(jnp.ones_like(tension), largest - tension)
         return State(pull, heading, moment, force, None, at(shape.wrap_angle), at(shape.position))
 
     base = jnp.full_like(nodes.tension[0], largest)
     fields = fields_at(grid.manipulator, base, instant.body.share[i], arc_length, state)
     return nan_unless((arc_length >= 0) & (arc_length <= places[-1]), fields)
+
+
+def _bending_moments(grid: Grid, instant: Instant, shape: Shape) -> Array | None:
+    """M_ext at the K nodes less the moment that friction of the body holds, N m; None where both are zero."""
+    nodes, held = instant.body.nodes, instant.body.held
+    by_loads = None if nodes.moment is None else nodes.moment[:-1]
+    if held is None:
+        return by_loads
+    own = grid.moment_of_friction(nodes, instant.given.force, held)
+    return (0.0 if by_loads is None else by_loads) - grid.geometry.moment_in_fixed_frame(shape.heading, own)
 
 
 class TipPose(NamedTuple):
@@ -218,7 +233,7 @@ def pushed(grid: Grid, instant: Instant, tip: TipPose) -> Number:
 
 def crosses(grid: Grid, instant: Instant) -> Bool[Array, ""]:
     """Whether fibres cross on the inside of the bend."""
-    strain = grid.at_all(instant.body.nodes, instant.given.force)[0]
+    strain = grid.at_all(instant.body.nodes, instant.given.force, instant.body.held)[0]
     inside = jax.vmap(grid.geometry.inside)(grid.sections, strain)
     return jnp.any(where_present(grid.sections, inside) >= 1.0)
 

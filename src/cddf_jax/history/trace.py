@@ -128,7 +128,7 @@ def _is_exact(manipulator: Manipulator, base_tension: Driven, loads: object, sta
     driven = [entry for entry in entries_of(base_tension) if isinstance(entry, ALONG_A_PATH)]
     followed = start is not None and isinstance(start._states, SteppedStates)
     known = all(isinstance(entry, Displacement | TipAngle) for entry in driven)
-    return manipulator.num_tendons == 1 and loads is None and known and not followed
+    return manipulator.num_tendons == 1 and loads is None and known and not followed and not manipulator.has_memory
 
 
 def _check_driven(base_tension: Driven) -> None:

@@ -5,7 +5,7 @@ cell reads gain * (tension - pretension) + zero: `pretension` is the tension tha
 zero.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -22,7 +22,7 @@ from ..history.history import History
 from ..measurements.columns import is_reading
 from ..measurements.left_out import numbered
 from ..measurements.markers import Marker, marker_column, marker_positions, markers_of, seen
-from ..measurements.readings import NAMED, READINGS, columns_of, kind_of, of_tendons, set_by, tendon_number
+from ..measurements.readings import NAMED, READINGS, columns_of, kind_of, kind_of_set, of_tendons, set_by, tendon_number
 from ..measurements.table import Measurements
 from ..mechanics.capstan import pulling_tension
 from ..progress import stage
@@ -126,6 +126,7 @@ class Bench(eqx.Module):
     # the rows in which a column was read; a column that is not listed here was read in all rows
     course: Course | None = None  # the paths of rows with a history; None where each row slides as its direction says
     setting: AllRows = eqx.field(default_factory=AllRows)
+    tendons: Int[np.ndarray | Array, " tendons"] | None = None  # those that are set, from 0; the others hang slack
 
     @property
     def on_one_curve(self) -> bool:
@@ -166,19 +167,26 @@ class Bench(eqx.Module):
         """What instruments without errors show of the rows, each in equilibrium."""
         parameters = {**self.setting.given, **parameters}
         body, components = with_parameters(manipulator, parameters), self.components(manipulator)
+        set_ones = slice(None) if self.tendons is None else jnp.asarray(self.tendons)
+
+        def of_set_ones(name: str) -> Array:
+            return of_all_tendons(parameters, name, manipulator.num_tendons)[set_ones]
+
         by_trial = self.trial is not None and TRIALS in parameters
         deviation = jnp.asarray(parameters[TRIALS])[self.trial] if by_trial else None
         if self.course is not None:
             course, readings = self.course, self.course.path(parameters)
-            tension = _true_tension(parameters, readings)
+            tension = _true_tension(parameters, readings, of_set_ones)
             if any(course.by_length):
-                displacement = course.true_displacement(parameters, readings)
+                displacement = course.true_displacement(parameters, readings, of_set_ones("slack_offset"))
                 tension = jnp.where(np.array(course.by_length), displacement, tension)
             of_trial = None if deviation is None else deviation[self.course.first_row]
             loads_with = partial(self.setting.loads_with, parameters=parameters, components=components)
             body = in_space(body) if components == 3 else body
-            return course.trace(body, tension, loads_with, self.setting.markers_on, of_trial, nodes)
-        tension = _true_tension(parameters, jnp.asarray(self.actuation))
+            own = body if self.tendons is None else body.with_tendons(jnp.asarray(self.tendons))
+            found = course.trace(own, tension, loads_with, self.setting.markers_on, of_trial, nodes)
+            return found if self.tendons is None else _with_slack_ones(found, self.tendons, body.num_tendons)
+        tension = _true_tension(parameters, jnp.asarray(self.actuation), of_set_ones)
 
         def one(tension, direction, force, deviation):
             loads = self.setting.loads_with(force, parameters, components)
@@ -260,14 +268,28 @@ class Bench(eqx.Module):
             trial, step = padded((course.trial, course.step))
             course = replace(course, trial=trial, step=step)
         with stage(f"solving {rows} rows"):
-            bare = Bench(*own, course=course, setting=self.setting)
+            bare = Bench(*own, course=course, setting=self.setting, tendons=self.tendons)
             answer = _evaluate(bare, manipulator, jax.tree.map(np.asarray, parameters), bare.along, nodes)
         return jax.tree.map(lambda x: np.asarray(x)[:rows], answer)
 
 
-def _true_tension(parameters: Parameters, readings: Array) -> Array:
+def _with_slack_ones(shown: Shown, tendons: Int[np.ndarray | Array, " set"], count: int) -> Shown:
+    """The same with all tendons: those that hang slack have no tension and no displacement that is known."""
+
+    def spread(values: Array, otherwise: float | bool) -> Array:
+        return jnp.full_like(values, otherwise, shape=(*values.shape[:-1], count)).at[..., tendons].set(values)
+
+    against = shown.direction_contradicted
+    return shown._replace(
+        tendon_displacement=spread(shown.tendon_displacement, jnp.nan),
+        tip_tension=spread(shown.tip_tension, 0.0),
+        direction_contradicted=None if against is None else spread(against, False),
+    )
+
+
+def _true_tension(parameters: Parameters, readings: Array, of_tendons: Callable[[str], Array]) -> Array:
     """Base tensions, N, from what the cells read; tendons last."""
-    gain, zero = (of_all_tendons(parameters, name, readings.shape[-1]) for name in ("base_gain", "base_zero"))
+    gain, zero = map(of_tendons, ("base_gain", "base_zero"))
     return jnp.maximum((readings - zero) / gain + parameters.get("pretension", 0.0), 0.0)
 
 
@@ -377,9 +399,10 @@ def experiment_of(
                 f"the table gives the position of the marker {twice[0]!r} already; leave it out of the setting"
             )
         found = markers_of(columns, {**setting.markers, **table.markers}, float(np.asarray(manipulator.length)))
-        force = tip_forces(table)
+        force, given = tip_forces(table), set_by(table.columns)
+        tendons = np.array([tendon_number(column) - 1 for column in given])
         bench = Bench(
-            np.stack([table[column] for column in set_by(table.columns)], axis=1),
+            np.stack([table[column] for column in given], axis=1),
             tuple(map(table.columns.get, of_tendons("direction", manipulator.num_tendons))),
             force if np.any(force) else None,
             first_trial + table.trial if "trial" in table else None,
@@ -388,6 +411,7 @@ def experiment_of(
             {column: np.flatnonzero(table.has(column)) for column in columns if not np.all(table.has(column))},
             course,
             AllRows.of(setting, found),
+            tendons if tendons.size < manipulator.num_tendons else None,
         )
         _check_body(table, bench, manipulator, zero_is_free="angle_zero" in free)
     return bench
@@ -436,10 +460,11 @@ def _check_tip_angles(table: Measurements, bench: Bench, *, zero_is_free: bool) 
 def _observed(table: Measurements, num_tendons: int) -> list[str]:
     """The columns that a fit explains."""
     given = set_by(table.columns)
-    if len(given) < num_tendons:
-        lacking = of_tendons("base_tension", num_tendons)[len(given)]
-        remedy = f"add it, or {lacking.replace('base_tension', 'displacement')}"
-        raise InputError(f"no column {lacking!r}; a manipulator of {num_tendons} tendons needs it; {remedy}")
+    lacking = sorted({*range(1, num_tendons + 1)} - {*map(tendon_number, given)})
+    if lacking and (not given or any(kind_of_set(column) == "base_tension" for column in given)):
+        column = of_tendons("base_tension", num_tendons)[lacking[0] - 1]
+        remedy = f"add it, or {column.replace('base_tension', 'displacement')}"
+        raise InputError(f"no column {column!r}; a manipulator of {num_tendons} tendons needs it; {remedy}")
     columns = [column for column in table.columns if kind_of(column) and is_reading(column, table.columns)]
     if not columns:
         raise InputError("nothing observed; add a column tip_tension [N], tip_angle [deg] or tip_x [mm]")

@@ -27,7 +27,7 @@ from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..statics.targets import Displacement
 from ..units import shown
-from .parameters import of_all_tendons, with_deviation
+from .parameters import with_deviation
 from .tension_before import REST, Past, Start, past_of
 
 STEPS = 16  # paths are traced in multiples of this number, so that tables share compiled programs
@@ -127,9 +127,12 @@ class Course(eqx.Module):
             return readings
         return jnp.concatenate([self.past.tension(parameters)[:, None], readings], axis=1)
 
-    def true_displacement(self, parameters: Mapping[str, ArrayLike], readings: Array) -> Array:
-        """(trials, steps, tendons), how far each tendon is pulled in, m, from what the encoders read."""
-        pulled = readings - of_all_tendons(parameters, "slack_offset", readings.shape[-1])
+    def true_displacement(self, parameters: Mapping[str, ArrayLike], readings: Array, offset: Array) -> Array:
+        """(trials, steps, tendons), how far each tendon is pulled in, m, from what the encoders read.
+
+        `offset`: the slack offset of each tendon, m.
+        """
+        pulled = readings - offset
         if "backlash" in parameters:
             pulled = jax.vmap(partial(_with_backlash, parameters["backlash"]))(pulled)
         if self.time is not None:
@@ -326,7 +329,7 @@ def course_of(
     short_steps: int = SHORT_STEPS,
     *,
     paths: Sequence[np.ndarray] | None = None,
-    loaded: bool = False,
+    stepped: bool = False,
     timed: bool = False,
 ) -> tuple[Course, dict[str, Steady]]:
     """The rows of a table as steps of paths, and by column what was set without the jitter of its readings.
@@ -338,7 +341,7 @@ def course_of(
         starts: how each trial begins; None: from rest.
         short_steps: into how many increments each step is divided where the answer is not exact.
         paths: the rows of each path; None: those of each trial.
-        loaded: whether there are loads besides the tip forces, which are the same in all rows.
+        stepped: whether loads besides the tip forces, or friction besides that on the body, rule out an exact answer.
         timed: whether the body may come after motors, so that the times of the rows count.
 
     Raises:
@@ -348,7 +351,7 @@ def course_of(
     rows, force = len(table), tip_forces(table)
     pulled = set_by(table.columns)
     by_length = tuple(kind_of(column) == "displacement" for column in pulled)
-    exact = len(pulled) == 1 and not np.any(force) and not loaded
+    exact = len(pulled) == 1 and not np.any(force) and not stepped
     rows_of_paths = table.trials if paths is None else paths
     timed &= any(by_length) and max(map(len, rows_of_paths)) > 1
     trial, step = np.zeros(rows, int), np.zeros(rows, int)
@@ -367,7 +370,7 @@ def course_of(
         )
     for own, start in zip(rows_of_paths, starts, strict=True):
         steadied = [_steady(table[column][own], known.get(column, known.get(kind_of_set(column)))) for column in pulled]
-        if exact:
+        if len(pulled) == 1 and not np.any(force):
             _check_directions(table, own, steadied[0], start)
         given = np.stack([*(steady.tension for steady in steadied), *force[own].T], axis=1)
         moved = np.append(True, np.any(np.diff(given, axis=0) != 0, axis=1) | timed)

@@ -29,7 +29,16 @@ from ..statics.status import NOTEWORTHY, words_of
 from .bench import Bench, Pulley, experiment_of
 from .course import course_of, paths_of
 from .fit import Fit
-from .parameters import PLAIN, BenchSetting, Parameters, free_parameters, parameter_named, starting_value
+from .parameters import (
+    PLAIN,
+    RUBBING,
+    BenchSetting,
+    Parameters,
+    along_a_path,
+    free_parameters,
+    parameter_named,
+    starting_value,
+)
 
 BEFOREHAND = 100.0  # relative standard error before any data, for designs that leave a parameter undetermined
 
@@ -262,7 +271,9 @@ def _experiment(
     table = Measurements.from_columns(name, notes=(), **columns)
     course, paths = None, paths_of(table, None)
     if paths:
-        how = {"paths": paths, "loaded": setting.loads is not None, "timed": "lag" in (*parameters, *setting.given)}
+        along = along_a_path(body, (*parameters, *setting.given))
+        stepped = setting.loads is not None or bool({*along} & {*RUBBING})
+        how = {"paths": paths, "stepped": stepped, "timed": "lag" in along}
         course = course_of(table, dict.fromkeys(SET, 0.0), **how)[0]
     return experiment_of(table, body, course=course, setting=setting, free=("angle_zero",))  # no reading is known yet
 

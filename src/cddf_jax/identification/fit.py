@@ -29,8 +29,10 @@ from .camera import camera_start, check_reach, unexplained_pose
 from .course import CLOSE, EACH, SHORT_STEPS, Course, course_of, paths_of
 from .parameters import (
     PLAIN,
+    RUBBING,
     TRIALS,
     BenchSetting,
+    along_a_path,
     camera_parameters,
     free_parameters,
     parameter_named,
@@ -136,6 +138,7 @@ class Fit(LeastSquaresFit):
         """
         tendons, setting = self.manipulator.num_tendons, self._setting(column)
         followed = {"history": history, "before": before, "short_steps": self._short_steps}
+        followed |= {"stepped": self.manipulator.has_memory}
         wanted = predicted_rows(base_tension, tip_force, tendons, setting, **followed)
         shown = wanted.evaluate(self.model.manipulator, self.parameters, self.model.nodes)
         if column not in shown.readings:
@@ -383,11 +386,14 @@ def _courses(
     paths = [paths_of(table, history) for table in tables]
     counts = [len(own or ()) for own in paths]
     starts = starts_of(counts, before, free, manipulator.num_tendons)
-    timed = "lag" in (*free, *setting.given)
+    along = along_a_path(manipulator, (*free, *setting.given))
+    for table, rows in zip(tables, paths, strict=True):
+        if along and not rows and "pulling_tension" not in table:
+            what = f"{table.name}: {', '.join(along)} act along a history, and the rows have none"
+            raise InputError(what, remedy="add a column step or time, or give history=True (--history)")
+    how = {"stepped": setting.loads is not None or bool({*along} & {*RUBBING}), "timed": "lag" in along}
     courses = [
-        course_of(table, noise, own, short_steps, paths=rows, loaded=setting.loads is not None, timed=timed)
-        if rows
-        else None
+        course_of(table, noise, own, short_steps, paths=rows, **how) if rows else None
         for table, rows, own in zip(tables, paths, starts, strict=True)
     ]
     known = [(own, course[0]) for own, course in zip(starts, courses, strict=True) if course]

@@ -64,6 +64,9 @@ PARAMETERS = {
         Parameter("pretension", 1.0, True, 0.5),  # of every tendon; the cells read 0 there
         Parameter("slack_offset", 0.0, False, 1e-3),  # the displacement, as read, at which a tendon begins to pull
         Parameter("outside_compliance", 1e-5, True, 1e-5),  # of the tendon and all that it pulls on outside the body
+        Parameter("outside_friction", 0.1, True, 0.1),  # there, mu times the angle of a sheath or pulleys
+        Parameter("outside_drag", 0.1, True, 0.1),  # there, a force that does not depend on the tension
+        Parameter("friction_moment", 1e-3, True, 1e-3),  # of the body
         Parameter("backlash", 1e-4, True, 1e-4),  # way back of the motor before the tendon follows
         Parameter("lag", 0.0, False, 0.1),  # time by which the body comes after the motor
         Parameter("angle_zero", 0.0, False, 0.02),
@@ -77,8 +80,21 @@ PARAMETERS = {
 OUT_OF_PLANE = tuple(f"{name}_{axis}" for name in ("camera_turn", "gravity_turn") for axis in "xy")
 OF_SPACE = ("poissons_ratio", "tendon_angle_error", "camera_z", *OUT_OF_PLANE)
 OF_STRETCH = ("axial_factor", "shear_factor")
-OF_TENDONS = ("base_gain", "tip_gain", "base_zero", "tip_zero", "slack_offset", "outside_compliance")  # each may differ
+OUTSIDE = ("outside_compliance", "outside_friction", "outside_drag")  # of a tendon, between body and actuator
+OF_TENDONS = ("base_gain", "tip_gain", "base_zero", "tip_zero", "slack_offset", *OUTSIDE)  # each may differ
+RUBBING = ("friction_moment", "outside_friction", "outside_drag")  # friction besides that of tendons on the body
 _OF_BODY = {field.name for field in fields(Manipulator)}
+
+
+def along_a_path(manipulator: Manipulator, parameters: Sequence[str]) -> list[str]:
+    """Which parameters, free or given, and numbers of the manipulator have an effect along a history only."""
+    own = [
+        name
+        for name in RUBBING
+        if any(getattr(owner, name, None) is not None for owner in (manipulator, *manipulator.tendons))
+    ]
+    given = [name for name in parameters if name.rstrip("_0123456789") in (*RUBBING, "backlash", "lag")]
+    return [*dict.fromkeys([*own, *given])]
 
 
 def stiffness_parameter(manipulator: Manipulator) -> str:
@@ -124,8 +140,10 @@ def starting_value(manipulator: Manipulator, name: str, given: Mapping[str, floa
     if given and name in given:
         return float(given[name])
     own = getattr(manipulator, name, None)
-    if name.startswith("outside_compliance"):
-        own = manipulator.tendon_outside_compliance[tendon_number(name) - 1]
+    if (stem := name.rstrip("_0123456789")) in OUTSIDE:
+        number = tendon_number(name) - 1
+        compliance = manipulator.tendon_outside_compliance[number]
+        own = compliance if stem == "outside_compliance" else getattr(manipulator.tendons[number], stem)
     return float(own) if own is not None and (start is None or own > 0) else float(start or 0.0)
 
 
@@ -145,10 +163,11 @@ def with_parameters(manipulator: Manipulator, parameters: Parameters) -> Manipul
         error = parameters["tendon_angle_error"]
         angles = [shifted(tendon.angle, error) for tendon in body.tendons if tendon.angle is not None]
         body = eqx.tree_at(lambda m: [tendon.angle for tendon in m.tendons], body, angles)
-    if any(name.startswith("outside_compliance") for name in parameters):
-        known = body.tendon_outside_compliance
-        own = [own_or_common(parameters, "outside_compliance", i, known[i - 1]) for i in range(1, body.num_tendons + 1)]
-        tendons = [replace(t, outside_compliance=C) for t, C in zip(body.tendons, own, strict=True)]
+    for name in (name for name in OUTSIDE if any(given.startswith(name) for given in parameters)):
+        tendons = [
+            replace(tendon, **{name: own_or_common(parameters, name, i, getattr(tendon, name))})
+            for i, tendon in enumerate(body.tendons, 1)
+        ]
         body = eqx.tree_at(lambda m: m.tendons, body, tuple(tendons))
     return body
 

@@ -49,8 +49,11 @@ def predicted_rows(
     history: bool = False,
     before: Before = REST,
     short_steps: int = SHORT_STEPS,
+    stepped: bool = False,
 ) -> Bench:
     """The rows to predict; arguments as in `Fit.predict`, and the setting that all rows share.
+
+    `stepped`: as in `course_of`.
 
     Raises:
         InputError: for numbers that are not finite, tensions below 0, shapes that do not fit.
@@ -82,8 +85,8 @@ def predicted_rows(
         columns = dict(zip(of_tendons("base_tension", tendons), pulled.T, strict=True))
         columns |= {f"tip_force_{axis}": own for axis, own in zip("xyz", force.T, strict=False)}
         path = Measurements("predict", columns, np.arange(1, rows + 1))
-        loaded = setting.loads is not None
-        course, _ = course_of(path, {"base_tension": 0.0}, starts, short_steps, loaded=loaded)
+        stepped = stepped or setting.loads is not None
+        course, _ = course_of(path, {"base_tension": 0.0}, starts, short_steps, stepped=stepped)
     return Bench(pulled, (None,) * tendons, force if np.any(force) else None, course=course, setting=setting)
 
 

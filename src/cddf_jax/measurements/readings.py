@@ -70,11 +70,8 @@ def kind_of_set(column: str) -> str:
 
 def set_by(columns: Collection[str]) -> list[str]:
     """The column that sets each tendon: its base tension, or its displacement where there is none."""
-    found, number = [], 1
-    while own := [name for kind in SET for name in of_tendons(kind, number)[-1:] if name in columns]:
-        found.append(own[0])
-        number += 1
-    return found
+    found = {tendon_number(column): column for kind in SET[::-1] for column in columns if kind_of_set(column) == kind}
+    return [found[number] for number in sorted(found)]
 
 
 def columns_of(num_tendons: int, markers: Sequence[str] = (), components: int = 2) -> list[str]:

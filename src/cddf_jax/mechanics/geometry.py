@@ -19,6 +19,7 @@ from ..numerics.rotations import (
     as_matrix,
     cofactors,
     cross,
+    in_fixed_frame,
     in_own_frame,
     length_of,
     of_turn,
@@ -94,6 +95,14 @@ class Plane:
     def elastic(self, section: AnySection, strain: Array) -> Array:
         """The strain less that at rest."""
         return strain
+
+    def bending_part(self, strain: Array) -> Array:
+        """The curvatures among the strains; zero in place of twist, stretch and shear."""
+        return strain
+
+    def moment_in_fixed_frame(self, heading: Array, stress: Array) -> Array:
+        """The moment among what acts along the strains of cross-sections."""
+        return stress
 
     def heading_rate(self, guess: Array | None, strain: Array) -> Array:
         """The rate of the heading along s, from a guess of the heading."""
@@ -250,6 +259,12 @@ class Space:
 
     def elastic(self, section: AnySection, strain: Array) -> Array:
         return strain - spatial(section).rest
+
+    def bending_part(self, strain: Array) -> Array:
+        return strain * np.array([0.0, 1.0, 1.0, 0.0, 0.0, 0.0])[: strain.shape[-1]]
+
+    def moment_in_fixed_frame(self, heading: Array, stress: Array) -> Array:
+        return in_fixed_frame(heading, stress[..., :3])
 
     def heading_rate(self, guess: Array | None, strain: Array) -> Array:
         assert guess is not None

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, ArrayLike, Bool, Float
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from ..errors import InputError
 from ..numerics.arrays import cos_sin, words_or_shapes
@@ -69,6 +69,9 @@ class Tendon(eqx.Module):
         free_length: length of the tendon between body and actuator, m, which stretches as well.
         outside_compliance: how far the tendon gives way between body and actuator, m/N, with all that it pulls on; None
             for free_length / axial_stiffness.
+        outside_friction: mu times the angle by which a sheath or pulleys wrap the tendon between body and the part that
+            gives way, -. Its tension falls there by exp(outside_friction). None for none.
+        outside_drag: the friction force there that does not depend on the tension, N. None for none.
         drag: its own w, N/m; None for the manipulator's.
         angle: around the axis, profile or number, rad, from y to z of the cross-section: a helix is `Linear`. None for
             a tendon in the plane, at 0 on side +1 and at pi on side -1. A body is in space where a tendon has an angle.
@@ -84,6 +87,8 @@ class Tendon(eqx.Module):
     axial_stiffness: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
     free_length: Scalar = eqx.field(default=0.0, converter=as_number)
     outside_compliance: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
+    outside_friction: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
+    outside_drag: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
     drag: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
     angle: Profile | None = eqx.field(default=None, converter=_as_optional_profile)
 
@@ -127,6 +132,9 @@ class Manipulator(eqx.Module):
         drag: w >= 0, N/m, friction per length of the neutral axis without tension and curvature, such as that of a
             sheath that squeezes the tendon: T' = -direction (mu |psi'| T + w). For every tendon without its own; None
             for none. Where drag has used up its tension, a tendon is slack, T = 0.
+        friction_moment: N m, 0 or more, of friction inside the body, such as that of strands or of discs on a rod. The
+            curvature stays as it is until it differs by more than friction_moment / (E J) from that of the body without
+            it, and then follows at this distance. None for none. Only `trace` follows it.
         yield_strain: above 0, a fraction: the largest bending strain of the wall from which the body recovers. A solve
             with a larger `peak_strain` has a remark; it has no other effect. None if unknown.
         mass_per_length: kg/m, profile or number, besides density: many discs, a sleeve, cables.
@@ -174,6 +182,7 @@ class Manipulator(eqx.Module):
     shear_stiffness: Profile | None = eqx.field(default=None, converter=_as_optional_profile)
     axial_factor: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
     shear_factor: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
+    friction_moment: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
 
     def __check_init__(self):
         if self.kinematics not in KINEMATICS:
@@ -307,6 +316,35 @@ class Manipulator(eqx.Module):
             strain * jnp.asarray(t.free_length) for strain, t in zip(self.tendon_compliance, self.tendons, strict=True)
         ]
         return jnp.stack([free if C is None else jnp.asarray(C) for free, C in zip(stretching, own, strict=True)])
+
+    @property
+    def rubs_outside(self) -> bool:
+        """Whether a tendon has friction between body and actuator; static."""
+        return any(t.outside_friction is not None or t.outside_drag is not None for t in self.tendons)
+
+    @property
+    def has_memory(self) -> bool:
+        """Whether there is friction besides that of tendons on the body, so that only `trace` follows it; static."""
+        return self.friction_moment is not None or self.rubs_outside
+
+    def with_tendons(self, which: Int[Array, " which"]) -> "Manipulator":
+        """The same body with some of its tendons only; `which` counts from 0 and may be traced.
+
+        Raises:
+            InputError: where the tendons do not state the same numbers, and profiles of one kind.
+        """
+        ends = [tendon.end is not None for tendon in self.tendons]
+        own = [replace(t, end=self.length) if any(ends) and t.end is None else t for t in self.tendons]
+        if any(jax.tree.structure(tendon) != jax.tree.structure(own[0]) for tendon in own):
+            what = "tendons that are pulled in tables of their own must all state the same numbers"
+            raise InputError(what, remedy="give each the same entries, with profiles of the same kind")
+        every = jax.tree.map(lambda *x: jnp.stack([jnp.asarray(one) for one in x]), *own)
+        return replace(self, tendons=tuple(jax.tree.map(lambda x, i=i: x[which[i]], every) for i in range(len(which))))
+
+    def without_memory(self) -> "Manipulator":
+        """The same body without this friction."""
+        tendons = tuple(replace(tendon, outside_friction=None, outside_drag=None) for tendon in self.tendons)
+        return replace(self, tendons=tendons, friction_moment=None)
 
     def offset(self, arc_length: Points) -> Float[Array, "tendons *points"]:
         """The offset d of each tendon, m."""
@@ -537,8 +575,14 @@ _TOLD_PROFILES = (
 )
 _STRAINS = ("twist", "about y", "about z")
 _TOLD_IF_ZERO = ("friction_coefficient", "poissons_ratio")
-_TOLD_MATERIAL = ("youngs_modulus", "stiffness_factor", "friction_coefficient", "density", "drag", "yield_strain")
-_TOLD_OF_TENDON = ("friction_coefficient", "end", "axial_stiffness", "free_length", "outside_compliance", "drag")
+_TOLD_MATERIAL = (
+    *("youngs_modulus", "stiffness_factor", "friction_coefficient", "density", "drag", "friction_moment"),
+    "yield_strain",
+)
+_TOLD_OF_TENDON = (
+    *("friction_coefficient", "end", "axial_stiffness", "free_length", "drag"),
+    *("outside_compliance", "outside_friction", "outside_drag"),
+)
 
 
 def _in_words(manipulator: Manipulator) -> str:

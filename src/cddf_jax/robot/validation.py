@@ -23,7 +23,10 @@ _ABOVE_ZERO = (
     *("length", "youngs_modulus", "stiffness_factor", "axial_factor", "shear_factor", "yield_strain"),
     *("arc_length", "axial_stiffness", "end"),
 )
-_ZERO_OR_MORE = ("friction_coefficient", "drag", "density", "mass", "free_length", "outside_compliance")
+_ZERO_OR_MORE = (
+    *("friction_coefficient", "drag", "density", "mass", "friction_moment"),
+    *("free_length", "outside_compliance", "outside_friction", "outside_drag"),
+)
 _STIFFNESSES = ("youngs_modulus", "bending_stiffness", "torsional_stiffness", "axial_stiffness", "shear_stiffness")
 _DEMANDED_ALONG = {**dict.fromkeys(_STIFFNESSES, "above 0"), "mass_per_length": "0 or more"}
 _STRAINS = ("twist", "about y", "about z")

@@ -9,7 +9,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
-from ..errors import SolveError
+from ..errors import InputError, SolveError
 from ..mechanics.directions import Directions, is_contradicted, not_stated
 from ..mechanics.fields import AnyFields, fields_at, planar_fields, tendons_first
 from ..mechanics.friction import unspent
@@ -106,6 +106,7 @@ def solve(
 
     Raises:
         SolveError: with `throw`, when the status is neither successful nor `direction_contradicted`.
+        InputError: for a body whose friction needs a history (`friction_moment`, `outside_friction`, `outside_drag`).
         ValueError: for a wrong number of tensions, directions or components of a load, nodes below 4, gravity on
             a body that is known to have no mass, numbers that are not plain (with a unit, masked, text, ...), a batch
             of bodies, or in space a target angle beyond 0 to pi.
@@ -113,6 +114,9 @@ def solve(
     """
     if not isinstance(manipulator, Manipulator):
         raise TypeError(f"solve: the first argument must be a Manipulator, got {type(manipulator).__name__}")
+    if manipulator.has_memory:
+        what = "solve: friction_moment, outside_friction and outside_drag act along a history"
+        raise InputError(what, remedy="use trace, or leave them out of the body")
     check_nodes(nodes)
     if not isinstance(method, FixedPoint | Method) or isinstance(method, type):
         raise TypeError(f"solve: method must be one such as FixedPoint(), got {method!r}")
