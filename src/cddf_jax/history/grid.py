@@ -20,6 +20,7 @@ from jaxtyping import Array, Float
 from ..mechanics.friction import PerTendon
 from ..mechanics.geometry import Geometry
 from ..mechanics.problem import breakpoints_under, geometry_of, guarded_section, load_rate, loads_at_points
+from ..numerics import tolerances as tol
 from ..numerics.elements import smooth_pieces
 from ..robot.cross_section import AnySection, where_present
 from ..robot.loads import Loads
@@ -127,8 +128,9 @@ class Grid(eqx.Module):
         limit = jnp.asarray(self.manipulator.friction_moment) / self.geometry.bending_stiffness(section)
         apart = self.geometry.bending_part(free - held)
         size = jnp.sum(apart**2)
-        share = limit / jnp.sqrt(jnp.where(size > limit**2, size, 1.0))
-        return free - jnp.where(size > limit**2, share, 1.0) * apart
+        follows = size > (limit + tol.HELD * (limit + jnp.max(jnp.abs(free)))) ** 2
+        share = limit / jnp.sqrt(jnp.where(follows, size, 1.0))
+        return jnp.where(follows, free - share * apart, held + (free - held - apart))
 
     def at_all(self, nodes: Node, force: Array | None, held: Array | None) -> tuple[Array, Array]:
         """As `at`, for all K nodes."""

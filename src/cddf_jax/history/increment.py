@@ -157,7 +157,8 @@ def _law(setting: Setting, state: _Search) -> _Law:
 def _share(setting: Setting, nodes: Node) -> PerElement:
     """z; a tendon without tension forgets it."""
     strain = _strain(setting, nodes, tol.ELASTIC)
-    return jnp.where(nodes.tension[:-1] > 0, strain / jnp.sqrt(1.0 + strain**2), 0.0)
+    taut = jnp.maximum(nodes.tension[:-1], nodes.tension[1:]) > 0
+    return jnp.where(taut, strain / jnp.sqrt(1.0 + strain**2), 0.0)
 
 
 def _with_ends(setting: Setting, nodes: Node) -> Node:
@@ -252,46 +253,61 @@ def _correction(setting: Setting, nodes: Node, law: _Law, missed: Rows) -> Node:
     starts, ends = map(jax.vmap(_flat), _ends_of_elements(nodes))
     elements = setting.grid.elements(setting.given, setting.before.held)
     slopes = jax.vmap(jax.jacfwd(rows, (2, 3, 4, 5)))(elements, law, *starts, *ends)
-    change, by_tension = _swept(nodes, slopes, missed.elements, setting.driven)
+    factors = _eliminated(nodes, slopes)
+    (change,) = _swept(nodes, factors, missed.elements[:, :, None], jnp.zeros((1, 1)))
     if not setting.driven:
         return change
+    pulls = jnp.eye(nodes.tension.shape[1], dtype=nodes.tension.dtype)[:, tendons_of(setting.driven)]
+    by_tension = _swept(nodes, factors, jnp.zeros((*missed.elements.shape, len(setting.driven))), pulls)
     push = jax.linearize(partial(_driven_gap, setting), nodes)[1]
-    tension = solve_small(jax.vmap(push)(by_tension).T, -(missed.driven + push(change)))[0]
-    return jax.tree.map(lambda x, slope: x + jnp.tensordot(tension, slope, 1), change, by_tension)
+    tension = solve_small(jnp.stack([push(slope) for slope in by_tension], axis=1), -(missed.driven + push(change)))[0]
+    return jax.tree.map(lambda x, *slopes: x + jnp.tensordot(tension, jnp.stack(slopes), 1), change, *by_tension)
 
 
-def _swept(nodes: Node, slopes: tuple, missed: Array, driven: tuple[Goal, ...]) -> tuple[Node, Node]:
-    """The change that makes the residuals zero, and the change by one newton at the base of each driven tendon.
+class _Factors(NamedTuple):
+    """The blocks of all elements, eliminated from base to tip; constant where derivatives are taken."""
 
-    Block elimination: from base to tip, what is known at the end of each element is found as a linear function of what
-    is sought there. From tip to base, all numbers follow.
+    inverse: Float[Array, "K rows rows"]
+    by_known: Float[Array, "K rows known"]
+    by_sought_at_end: Float[Array, "K rows sought"]  # of all unknowns of an element
+
+
+def _eliminated(nodes: Node, slopes: tuple) -> _Factors:
+    """Block elimination: what is known at the end of each element is a linear function of what is sought there."""
+    known, sought = (x.size for x in jax.eval_shape(_flat, jax.tree.map(lambda x: x[0], nodes)))
+
+    def outwards(by_sought: Array, slopes: tuple) -> tuple[Array, _Factors]:
+        by_known, by_start, by_known_end, by_end = slopes
+        inverse = jnp.linalg.inv(jnp.concatenate([by_known_end, by_start + by_known @ by_sought], axis=1))
+        of_end = -inverse @ by_end
+        return of_end[:known], _Factors(inverse, by_known, of_end)
+
+    return jax.lax.scan(outwards, zero_as(slopes) + jnp.zeros((known, sought)), slopes)[1]
+
+
+def _swept(nodes: Node, factors: _Factors, missed: Float[Array, "K rows columns"], start: Array) -> list[Node]:
+    """The changes that make the residuals zero, one for each column; `start` are those of what is known at the base.
+
+    From base to tip, what is known at the end of each element; from tip to base, all numbers. Linear in the residuals.
     """
-    count, sought = slopes[0].shape[2], slopes[1].shape[2]
-    zero = zero_as(slopes)
-    pulls = jnp.eye(count, dtype=missed.dtype)[:, tendons_of(driven)] + zero
+    known, count = factors.by_known.shape[2], start.shape[1]
+    zero = zero_as((factors, missed))
 
-    def outwards(carry: tuple[Array, Array], inputs: tuple) -> tuple[tuple, tuple]:
-        by_sought, known = carry  # at the start of this element: known = by_sought @ sought + known
-        (by_known, by_start, by_known_end, by_end), lacks = inputs
-        here = jnp.concatenate([by_known_end, by_start + by_known @ by_sought], axis=1)
-        first = jnp.zeros((lacks.size, known.shape[1]), lacks.dtype).at[:, 0].set(lacks)
-        inverse = jnp.linalg.inv(here)  # constant where derivatives are taken: the values are linear in `missed`
-        of_end, values = -inverse @ by_end, -inverse @ (first + by_known @ known)
-        return (of_end[:count], values[:count]), (of_end, values)
+    def outwards(at_start: Array, element: tuple[_Factors, Array]) -> tuple[Array, Array]:
+        factors, lacks = element
+        values = -factors.inverse @ (lacks + factors.by_known @ at_start)
+        return values[:known], values
 
-    first = (
-        zero + jnp.zeros((count, sought)),
-        jnp.concatenate([0.0 * pulls[:, :1] if driven else zero + jnp.zeros((count, 1)), pulls], axis=1),
-    )
-    found = jax.lax.scan(outwards, first, (slopes, missed))[1]
+    start = zero + jnp.broadcast_to(start, (known, count))
+    values = jax.lax.scan(outwards, start, (factors, missed))[1]
 
-    def back(at_end: Array, found: tuple[Array, Array]) -> tuple[Array, Array]:
-        here = found[0] @ at_end + found[1]
-        return here[count:], here
+    def back(at_end: Array, element: tuple[Array, Array]) -> tuple[Array, Array]:
+        here = element[0] @ at_end + element[1]
+        return here[known:], here
 
-    last = zero + jnp.zeros((sought, 1 + len(driven)))
-    here = jax.lax.scan(back, last, found, reverse=True)[1]
-    all_known = jnp.concatenate([first[1][None], here[:, :count]])
-    all_sought = jnp.concatenate([here[:, count:], last[None]])
-    changes = jax.vmap(jax.vmap(partial(_node, nodes)), (2, 2))(all_known, all_sought)
-    return jax.tree.map(lambda x: x[0], changes), jax.tree.map(lambda x: x[1:], changes)
+    last = zero + jnp.zeros((factors.by_sought_at_end.shape[2], count))
+    here = jax.lax.scan(back, last, (factors.by_sought_at_end, values), reverse=True)[1]
+    all_known = jnp.concatenate([start[None], here[:, :known]])
+    all_sought = jnp.concatenate([here[:, known:], last[None]])
+    one = jax.vmap(partial(_node, nodes))
+    return [one(all_known[..., column], all_sought[..., column]) for column in range(count)]

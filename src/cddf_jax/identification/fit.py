@@ -42,6 +42,7 @@ from .parameters import (
 )
 from .predictions import Numbers, Prediction, beyond_the_data, moved_by_finer_steps, predicted_rows
 from .random_effects import errors_of_base, fit_trials
+from .rivals import Rival, rivals_of
 from .tension_before import Before, first_guesses, starts_of
 from .verdict import AGAINST, SolveResults, doubt, drift_of, fit_warnings, solve_results, verdict_of
 
@@ -208,6 +209,11 @@ class Fit(LeastSquaresFit):
     def moved_by_steps(self) -> dict[str, float]:
         """By parameter, its error by the increments of a history, over its standard error; {} without increments."""
         return moved_by_finer_steps(self) if self.success else {}
+
+    @cached_property
+    def rivals(self) -> list[Rival]:
+        """What else may have made the loops of a bench driven by displacement, beside friction on the body."""
+        return rivals_of(self)
 
     @property
     def clusters(self) -> dict[str, tuple[str, np.ndarray]]:

@@ -135,6 +135,7 @@ def fit_warnings(fit: "Fit") -> list[str]:
         for name, part in fit.moved_by_steps.items()
         if not part <= LARGEST_MOVE
     ]
+    found += [rival.in_words for rival in fit.rivals if rival.in_words]
     found += repeated_tables(fit.tables)
     if fit.manipulator.kinematics == "published" and _hold_shape(fit.tables):
         found.append(

@@ -374,9 +374,12 @@ def _check_heads(found: Table) -> list[str]:
 def _missing(columns: Iterable[str]) -> list[str]:
     """The columns that a table with these columns needs and does not have; a displacement does for a base tension."""
     names = set(columns)
-    names |= {column.replace("displacement", "base_tension") for column in names if kind_of(column) == "displacement"}
+    pulled = {column.replace("displacement", "base_tension") for column in names if kind_of(column) == "displacement"}
+    names |= pulled
     tendons = {column: kind for column in names if (kind := kind_of(column)) in PER_TENDON}
-    needed = {"base_tension"} | {column.replace(kind, "base_tension") for column, kind in tendons.items()}
+    needed = (set() if pulled else {"base_tension"}) | {
+        column.replace(kind, "base_tension") for column, kind in tendons.items()
+    }
     return sorted((set(PULLEY) if names & set(PULLEY) else needed) - names)
 
 

@@ -50,6 +50,7 @@ LEAST_LEFT = 0.1  # of a tension after one step, where slopes vanish without ten
 LEVEL = 1e-5  # change of the sum with a tension below which it counts as none
 
 # history
+HELD = 1e-10  # of a curvature: so near the limit of friction it is held, and rounding errors do not choose its slope
 LEAST_TURN = 1e-11  # rad: below it the turn of a tendon counts as this, so that the limit of friction is smooth
 ELASTIC = 3e-12  # m, by which a tendon moves in an element before it slides
 REMEMBERED = 1000.0  # elastic slips, with which a tendon that slid begins an increment: z is 1 less 5e-7

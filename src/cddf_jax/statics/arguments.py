@@ -243,9 +243,17 @@ def is_physical(
         & _has_physical_points(manipulator, problem)
         & jnp.all(jnp.isfinite(manipulator.tendon_compliance) & (manipulator.tendon_compliance >= 0))
         & jnp.all(manipulator.tendon_outside_compliance >= 0)
+        & _has_physical_memory(manipulator)
         & jnp.all(base_tension >= 0)
         & jnp.all(jnp.abs(direction) == 1)
     )
+
+
+def _has_physical_memory(manipulator: Manipulator) -> Bool[Array, ""]:
+    """Whether friction besides that of tendons on the body is 0 or more."""
+    own = [number for t in manipulator.tendons for number in (t.outside_friction, t.outside_drag)]
+    given = [jnp.asarray(number) >= 0 for number in (manipulator.friction_moment, *own) if number is not None]
+    return jnp.all(jnp.stack([jnp.asarray(True), *given]))
 
 
 def _has_physical_points(manipulator: Manipulator, problem: Problem) -> Bool[Array, ""]:
