@@ -250,9 +250,8 @@ def _run(command: str) -> str:
 
 def picture(axes: Any) -> str:
     """The figure that some axes lie in, within the page."""
-    from cddf_jax.figures import save
-
-    file = base64.b64encode(save(axes.figure, WORK / "picture.svg").read_bytes()).decode()
+    axes.figure.savefig(WORK / "picture.svg", metadata={"Date": None})
+    file = base64.b64encode((WORK / "picture.svg").read_bytes()).decode()
     width = round(150 * axes.figure.get_figwidth())
     words = "What the code above draws"
     return f'<p><img class="figure" alt="{words}" width="{width}" src="data:image/svg+xml;base64,{file}"></p>'

@@ -4,15 +4,11 @@ import sys
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from cddf_jax import figures
-
 # what the pictures are made from: a few solves, one fit, one sweep, two designs
 SETUP = """
 import jax
 import numpy as np
 import cddf_jax as cddf
-from cddf_jax import figures
-
 jax.config.update("jax_enable_x64", True)
 
 body = dict(length=0.140, outer_radius=(0.020, 0.013), inner_radius=0.007, tendon_offset=0.010,
@@ -170,11 +166,12 @@ def make_gallery(folder: str | Path) -> list[Picture]:
         (name, title, caption, code) of each picture; `SETUP` is what its code needs.
     """
     made: dict[str, Any] = {}
+    Path(folder).mkdir(parents=True, exist_ok=True)
     exec(SETUP, made)
     for picture in PICTURES:
         axes = eval(picture.code, made)
         for suffix in ("png", "pdf"):
-            figures.save(axes.figure, Path(folder) / f"{picture.name}.{suffix}")
+            axes.figure.savefig(Path(folder) / f"{picture.name}.{suffix}")
     return list(PICTURES)
 
 

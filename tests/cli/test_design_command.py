@@ -173,7 +173,10 @@ def test_bodies_and_labels_of_the_figure_lie_apart(radius, offset):
 
     before, after = rod(1.0), rod(0.8)
     bent = [(cddf.solve(body, pull * 6e-3 / offset, nodes=8),) for body, pull in ((before, 20.0), (after, 30.0))]
-    drawn: Any = SimpleNamespace(start=before, equilibria_at_start=bent[0], manipulator=after, equilibria=bent[1])
+    case = SimpleNamespace(loads=None)
+    drawn: Any = SimpleNamespace(
+        start=before, equilibria_at_start=bent[0], manipulator=after, equilibria=bent[1], cases=[case]
+    )
     figure = design_figure(drawn)
     figure.draw_without_rendering()
     axes = figure.axes[0]

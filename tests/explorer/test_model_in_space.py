@@ -11,7 +11,7 @@ import cddf_jax as cddf
 from cddf_jax.explorer.model import Exploration
 from cddf_jax.explorer.space import SpacePlot, body_rows, floor_rows, load_rows, tendon_rows
 from cddf_jax.explorer.words import numbers_html
-from cddf_jax.figures.geometry import Drawn, SpatialBody, stations
+from cddf_jax.figures.geometry import Body, Drawn, stations
 from cddf_jax.files.manipulator_file import read_robot_file
 from cddf_jax.measurements.table import Measurements
 
@@ -33,7 +33,7 @@ def straight(manipulator, loads=None):
     """What is drawn of a body without tensions: all lines straight, at 9 mm and 0, 120 and 240 degrees."""
     s = stations(manipulator)
     radius, angles = 1e3 * np.asarray(manipulator.radii(s)[0]), np.radians([0.0, 120.0, 240.0])
-    body = SpatialBody(np.outer(1e3 * s, [1.0, 0.0, 0.0]), np.tile(np.eye(3), (len(s), 1, 1)), radius)
+    body = Body(np.outer(1e3 * s, [1.0, 0.0, 0.0]), np.tile(np.eye(3), (len(s), 1, 1)), radius, 0.0 * radius)
     across = 9.0 * np.stack([0 * angles, np.cos(angles), np.sin(angles)], axis=-1)
     paths = body.midline + across[:, None]
     loads = cddf.Loads((0.0, 0.0, 0.0)) if loads is None else loads

@@ -55,7 +55,7 @@ def test_the_nearest_lies_on_top():
 
 def test_views_show_the_same_tips():
     figure = figures.workspace_figure(answer(), "tip_angle")
-    scene, *others = figure.axes
+    *others, scene, _ = figure.axes
     tips, values = drawn(scene)
     np.testing.assert_allclose(values, tips[:, 1])  # deg
     views = {(axes.get_xlabel()[1], axes.get_ylabel()[1]): drawn(axes)[0] for axes in others if axes.collections[:1]
@@ -72,8 +72,9 @@ def test_what_is_doubtful_and_what_failed():
     data["result"][0, 0] = LOCKED
     data["tip_position"][0, 0] = np.nan
     figure = figures.workspace_figure(data)
-    assert len(drawn(figure.axes[0])[0]) == 7
-    told = [text.get_text() for text in figure.legends[0].get_texts()]
+    *_, scene, _ = figure.axes
+    assert len(drawn(scene)[0]) == 7
+    told = [text.get_text() for text in scene.get_legend().get_texts()]
     assert told == ["hollow: doubtful, crossing", "no number: 1 of 9, locked"]
 
 

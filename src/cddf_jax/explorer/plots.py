@@ -9,21 +9,12 @@ from bokeh.models import Arrow, ColumnDataSource, HoverTool, LinearAxis, NormalH
 from bokeh.plotting import figure
 from jaxtyping import ArrayLike
 
-from ..figures.geometry import (
-    Body,
-    bent_body,
-    force_lines,
-    lines_along,
-    moment_lines,
-    straight_body,
-    tendon_paths,
-)
+from ..figures.geometry import Body, drawn, lines_along, straight_body, tendon_paths
 from ..figures.looks import BLACK, BLUE, CURVES, GREEN, GREY, PALE, PURPLE, VERMILION
 from ..measurements.readings import kind_of, of_tendons, tendon_number
 from ..measurements.table import Measurements
 from ..mechanics.fields import in_the_plane
 from ..quantities import QUANTITIES
-from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from .model import Curve, Picture
 from .past import Loop
@@ -134,18 +125,17 @@ class BodyPlot:
     def show(self, picture: Picture) -> None:
         """Draw an equilibrium."""
         along, manipulator = in_the_plane(picture.along, "BodyPlot"), picture.case.manipulator
-        body = bent_body(manipulator, along)
-        tendons = _tendons(manipulator, body, along.arc_length)
-        self._show_body(body, tendons)
-        forces, length = np.concatenate([along.normal_force, along.friction_force]), 1e3 * float(along.arc_length[-1])
+        what = drawn(manipulator, along, picture.case.loads)
+        tendons = _tendons(manipulator, what.body, along.arc_length)
+        self._show_body(what.body, tendons)
+        forces = np.concatenate([along.normal_force, along.friction_force])
         greatest = float(np.max(np.linalg.norm(forces, axis=-1)))  # N/m
         for name, force in (("normal", along.normal_force), ("friction", along.friction_force)):
-            arrows = _force_arrows(tendons, force, LONGEST_ARROW * length / max(greatest, 1e-12))
+            arrows = _force_arrows(tendons, force, LONGEST_ARROW * what.length / max(greatest, 1e-12))
             self.sources[name].data = _arrow_data(*arrows)
         self.figure.title.text = f"longest arrow {greatest:.4g} N/m"
-        loads = Loads() if picture.case.loads is None else picture.case.loads
-        none = np.zeros((0, 2))  # the sliders load the tip only: there is one line of each or none
-        force, turn = (next(iter(lines(body, loads, length)), none) for lines in (force_lines, moment_lines))
+        # the sliders load the tip only: there is one arrow of each or none
+        force, turn = (next(iter(arrows), NONE)[:, :2] for arrows in (what.force_arrows, what.moment_arrows))
         self.sources["force"].data = _arrow_data(force[:1], force[-1:])
         self.sources["moment"].data = _xy(turn)
         self.sources["turn"].data = _arrow_data(turn[-2:-1], turn[-1:])
@@ -184,8 +174,8 @@ def _arrow_data(starts: np.ndarray, ends: np.ndarray) -> Columns:
 
 
 def _tendons(manipulator: Manipulator, body: Body, arc_length: ArrayLike) -> list[np.ndarray]:
-    """The line of each tendon up to its anchor."""
-    return [line[np.isfinite(line[:, 0])] for line in tendon_paths(manipulator, body, arc_length)]
+    """The line of each tendon in the plane up to its anchor."""
+    return [line[np.isfinite(line[:, 0]), :2] for line in tendon_paths(manipulator, body, np.asarray(arc_length))]
 
 
 def _force_arrows(tendons: list[np.ndarray], forces: ArrayLike, scale: float) -> tuple[np.ndarray, np.ndarray]:

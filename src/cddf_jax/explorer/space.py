@@ -233,10 +233,10 @@ def _some(arc_length: np.ndarray) -> np.ndarray:
 def tendon_rows(what: Drawn) -> list[Row]:
     """Each tendon, its anchor, and its number beside the plate if there are several."""
     rows = []
-    for i, (path, tension) in enumerate(zip(what.tendons, what.tension, strict=True)):
+    for i, (path, anchor) in enumerate(zip(what.tendons, what.anchors, strict=True)):
         look, beside = tendon_look(i), path[0] / np.linalg.norm(path[0])
         rows.append(Row("tendon", path, look["line_color"], tuple(look["line_dash"]), 2.0))
-        rows.append(Row("end", path[np.isfinite(tension)][-1]))
+        rows.append(Row("end", anchor))
         if len(what.tendons) > 1:
             rows.append(Row("name", (what.plate + 0.04 * what.length) * beside, BLACK, text=str(i + 1)))
     return rows

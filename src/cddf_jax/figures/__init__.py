@@ -2,9 +2,9 @@
 
 Functions named `draw_` take and return Matplotlib axes, so that they can be combined: `draw_shape(robot, equilibrium,
 axes=axes)` draws into axes of yours, in your style, and `draw_shape(robot, equilibrium)` makes a figure as wide as a
-column of a page, in the house style; it is `axes.figure`, and `save(axes.figure, "shape.pdf")` writes it. Functions
-named `_figure` make a whole figure with its legends. Every axis says its unit: mm, N, deg, MPa, 1/m and per cent, what
-engineers write. No display is needed, and neither pyplot nor any global setting of Matplotlib is touched.
+column of a page, in the house style, which `axes.figure.savefig("shape.pdf")` writes. Functions named `_figure` make a
+whole figure with its legends. Every axis says its unit: mm, N, deg, MPa, 1/m and per cent, what engineers write. No
+display is needed, and neither pyplot nor any global setting of Matplotlib is touched.
 """
 
 import lazy_loader

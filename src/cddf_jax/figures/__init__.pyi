@@ -2,7 +2,6 @@
 
 from .along import (
     draw_along as draw_along,
-    sections_figure as sections_figure,
 )
 from .body import (
     draw_force_arrows as draw_force_arrows,
@@ -34,7 +33,6 @@ from .style import (
     house_style as house_style,
     new_figure as new_figure,
     render as render,
-    save as save,
 )
 from .sweeps import draw_lines as draw_lines, draw_map as draw_map, sweep_figure as sweep_figure
 from .workspace import draw_workspace as draw_workspace, workspace_figure as workspace_figure

@@ -1,23 +1,19 @@
-"""Lines over arc length: the fields of an equilibrium, and a table of cross-sections as it was read."""
+"""Lines over arc length: the fields of an equilibrium."""
 
 from collections.abc import Sequence
 from itertools import cycle
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
-from ..files.cross_sections import SectionColumn
 from ..quantities import QUANTITIES
 from ..robot.manipulator import Manipulator
-from ..robot.profiles import Constant, breakpoints
 from ..statics.equilibrium import Equilibrium
 from . import looks, style as draw
-from .geometry import BENDING, fields_along, lines_along, stations, with_joints
+from .geometry import BENDING, fields_along, lines_along, stations
 
 MARKERS = ("", "o", "s", "^", "D", "v", "x")  # one for each round through the dash patterns
-HEIGHT, SECTION_HEIGHT = 2.2, 1.9  # of a panel, inches
-MANY_POINTS = 60  # of a table, which are then drawn small
+HEIGHT = 2.2  # inches
 
 
 def draw_along(
@@ -78,27 +74,3 @@ def _draw_lines(axes: Axes, s: np.ndarray, values: np.ndarray, names: Sequence[s
         axes.annotate(", ".join(numbers), end, (3, 0), **place)
     if count > 1 and "label" not in style:
         draw.legend_above(axes, 3)
-
-
-# --- a table of cross-sections ------------------------------------------------------------------
-
-
-def sections_figure(columns: Sequence[SectionColumn]) -> Figure:
-    """The points of each column of a table of cross-sections, and the profile that was taken for it.
-
-    Args:
-        columns: of `read_cross_sections(path).columns`.
-    """
-    return draw.panels_figure(_draw_section_column, columns, SECTION_HEIGHT)
-
-
-def _draw_section_column(axes: Axes, column: SectionColumn) -> None:
-    points, values = 1e3 * column.arc_length, 1e3 * column.values
-    s = with_joints(np.linspace(0.0, column.arc_length[-1], 1001), breakpoints(column.profile))
-    axes.plot(1e3 * s, 1e3 * np.asarray(column.profile(s)), color=looks.BLUE, label="as read")
-    look = {"markersize": 1.2 if len(points) > MANY_POINTS else 3.2, "markerfacecolor": "white"}
-    axes.plot(points, values, "o", color=looks.VERMILION, label="points of the table", **look)
-    low, high = axes.dataLim.intervaly
-    margin = max(0.08 * (high - low), 0.1 * high if isinstance(column.profile, Constant) else 0.0) or 0.1
-    axes.set_ylim(low - margin, high + margin)
-    axes.set(xlabel="Arc length $s$ (mm)", ylabel=f"{column.name.replace('_', ' ').capitalize()} (mm)")

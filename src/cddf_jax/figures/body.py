@@ -6,14 +6,14 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch
 from matplotlib.path import Path
 
-from ..mechanics.fields import SpatialFields
+from ..mechanics.fields import in_the_plane
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import Equilibrium
 from ..units import round_number
-from . import geometry, looks, space, style as draw
+from . import looks, space, style as draw
 from .along import draw_along
-from .geometry import Body
+from .geometry import Drawn, drawn, fields_along, reached, stations
 
 HEIGHT = 2.4  # inches, of a figure as wide as a column
 ARROWS = 10  # for each tendon
@@ -31,14 +31,23 @@ def equilibrium_figure(manipulator: Manipulator, equilibrium: Equilibrium, loads
     Raises:
         InputError: when the solve failed and there is no shape to draw.
     """
-    if equilibrium.tip_frame is not None:
-        return _spatial_figure(manipulator, equilibrium, loads)
     with draw.house_style():
-        figure = draw.new_figure(draw.DOUBLE_COLUMN, HEIGHT)
-        shape, tension = figure.subplots(1, 2, width_ratios=(1.5, 1))
-        draw_shape(manipulator, equilibrium, loads, shape)
+        if equilibrium.tip_frame is None:
+            figure = draw.new_figure(draw.DOUBLE_COLUMN, HEIGHT)
+            shape, tension = figure.subplots(1, 2, width_ratios=(1.5, 1))
+            draw_shape(manipulator, equilibrium, loads, shape)
+            figure.set_figheight(_fitting_height(shape, 3.6))
+        else:
+            what = _drawn(manipulator, equilibrium, loads)
+            rows = -(-manipulator.num_tendons // 3)  # of the legend
+            figure, above = space.figure_with_views(
+                3.2 + 0.16 * rows, what.points, lambda axes, plane: space.draw_view(axes, what, plane)
+            )
+            grid = above.add_gridspec(2, 2, width_ratios=(1.4, 1))
+            space.draw_scene(what, above.add_subplot(grid[:, 0], projection="3d"))
+            tension, curvature = (above.add_subplot(grid[row, 1]) for row in (0, 1))
+            draw_along(manipulator, equilibrium, "curvature", curvature)
         draw_along(manipulator, equilibrium, "tension", tension)
-        figure.set_figheight(_fitting_height(shape, 3.6))
     return figure
 
 
@@ -63,26 +72,28 @@ def draw_shape(
     Raises:
         InputError: when the solve failed and there is no shape to draw, or for axes of the wrong kind.
     """
-    s = geometry.stations(manipulator)
-    along = geometry.fields_along(equilibrium, s)
-    if isinstance(along, SpatialFields):
-        return space.draw_spatial_shape(geometry.drawn(manipulator, along, loads), axes)
-    body, straight = geometry.bent_body(manipulator, along), geometry.straight_body(manipulator, s)
-    tension = np.where(geometry.reached(manipulator, s), along.tension, np.nan)
-    norm = draw.tension_scale(tension)
-    given, around = axes, 0.05 * 1e3 * s[-1]
+    what = _drawn(manipulator, equilibrium, loads)
+    if equilibrium.tip_frame is not None:
+        with draw.axes_or_new(axes, space.HEIGHT, in_space=True) as axes:
+            space.draw_scene(what, axes)
+        return axes
+    norm, given, around = draw.tension_scale(what.tension), axes, 0.05 * what.length
     with draw.axes_or_new(axes, HEIGHT) as axes:
-        axes.plot(*straight.outline.T, color=looks.GREY, linewidth=0.5, linestyle=(0, (1, 2)), zorder=0.5)
-        draw.draw_clamp(axes, body.outer_radius[0] + around, around)
-        draw.draw_body(axes, body)
-        tendons = geometry.tendon_paths(manipulator, body, s)
-        for path, own in zip(tendons, tension, strict=True):
-            draw.draw_coloured_line(axes, path, own, norm)
-            axes.plot(*path[np.isfinite(own)][-1], "o", color=looks.BLACK, markersize=2.3, zorder=5)
-        if len(tendons) > 1:
-            _number_tendons(axes, tendons[:, 0, 1], 1e3 * s[-1])
-        _draw_loads(axes, body, Loads() if loads is None else loads, 1e3 * s[-1])
-        draw.scale_beside(axes, norm, "$T$ (N)", pad=0.02)
+        axes.plot(*what.straight.outline.T, color=looks.GREY, linewidth=0.5, linestyle=(0, (1, 2)), zorder=0.5)
+        draw.draw_clamp(axes, what.body.outer_radius[0] + around, around)
+        draw.draw_body(axes, what.body)
+        for path, anchor, tension in zip(what.tendons, what.anchors, what.tension, strict=True):
+            draw.draw_coloured_line(axes, path[:, :2], tension, norm)
+            axes.plot(*anchor[:2], "o", color=looks.BLACK, markersize=2.3, zorder=5)
+        if len(what.tendons) > 1:
+            _number_tendons(axes, what.tendons[:, 0, 1], what.length)
+        look = {"arrowstyle": "-|>", "mutation_scale": 8, "linewidth": 1.2, "shrinkA": 0, "shrinkB": 0, "zorder": 6}
+        for arrows, color in ((what.force_arrows, looks.VERMILION), (what.moment_arrows, looks.PURPLE)):
+            for arrow in arrows:
+                axes.update_datalim(arrow[:, :2])
+                axes.add_patch(FancyArrowPatch(path=Path(arrow[:, :2]), color=color, fill=True, **look))
+        draw.legend_of_loads(axes, what.loads, in_space=False)
+        draw.scale_beside(axes, norm, "$T$ (N)")
         axes.set(xlabel="$X$ (mm)", ylabel="$Y$ (mm)")
         axes.margins(0.08)
         draw.to_scale(axes)
@@ -91,26 +102,8 @@ def draw_shape(
     return axes
 
 
-def _spatial_figure(manipulator: Manipulator, equilibrium: Equilibrium, loads: Loads | None) -> Figure:
-    """The body in three dimensions, tension and curvature beside it, three plane views below."""
-    along = geometry.fields_along(equilibrium, geometry.stations(manipulator))
-    what = geometry.drawn(manipulator, along, loads)
-    norm = draw.tension_scale(what.tension)
-    with draw.house_style():
-        below = space.VIEWS_HEIGHT + 0.1
-        rows = -(-manipulator.num_tendons // 3)  # of the legend
-        figure = draw.placed_figure(draw.DOUBLE_COLUMN, below + 3.2 + 0.16 * rows)
-        scene, _ = space.new_scene(figure, what.points, 0.1, below + 0.45, 3.0, 2.4)
-        space.draw_scene(scene, what, norm)
-        for quantity, bottom in (("tension", 1.95), ("curvature", 0.45)):
-            panel = draw.place_in(figure, 4.6, below + bottom, 2.45, 1.1)
-            draw_along(manipulator, equilibrium, quantity, panel)
-            if quantity == "tension":
-                panel.set_xlabel("")
-        space.draw_views(figure, lambda axes, plane: space.draw_view(axes, what, norm, plane), what.points)
-        draw.colour_scale(figure, norm, "$T$ (N)", 3.72, below + 0.9, 1.6)
-        draw.legend_of_loads(figure, what.loads, loc="upper left", ncols=3)
-    return figure
+def _drawn(manipulator: Manipulator, equilibrium: Equilibrium, loads: Loads | None) -> Drawn:
+    return drawn(manipulator, fields_along(equilibrium, stations(manipulator)), loads)
 
 
 def _fitting_height(axes: Axes, width: float) -> float:
@@ -126,17 +119,6 @@ def _number_tendons(axes: Axes, heights: np.ndarray, length: float) -> None:
     for group in groups:
         at = (-0.06 * length, float(np.mean(heights[group])))
         axes.annotate(", ".join(str(i + 1) for i in sorted(group)), at, ha="right", va="center", fontsize=7.5)
-
-
-def _draw_loads(axes: Axes, body: Body, loads: Loads, length: float) -> None:
-    """Arrows of forces and moments, with a legend."""
-    lines = geometry.force_lines(body, loads, length), geometry.moment_lines(body, loads, length)
-    look = {"arrowstyle": "-|>", "mutation_scale": 8, "linewidth": 1.2, "shrinkA": 0, "shrinkB": 0, "zorder": 6}
-    for own, color in zip(lines, (looks.VERMILION, looks.PURPLE), strict=True):
-        for line in own:
-            axes.update_datalim(line)
-            axes.add_patch(FancyArrowPatch(path=Path(line), color=color, fill=True, **look))
-    draw.legend_of_loads(axes, loads, loc="best")
 
 
 def draw_force_arrows(manipulator: Manipulator, equilibrium: Equilibrium, axes: Axes | None = None) -> Axes:
@@ -155,20 +137,20 @@ def draw_force_arrows(manipulator: Manipulator, equilibrium: Equilibrium, axes: 
     length = float(manipulator.length)
     places = length * (np.arange(ARROWS) + 0.45) / ARROWS
     s = np.unique(np.concatenate([np.linspace(0.0, length, 201), places]))
-    at = geometry.reached(manipulator, s) & np.isin(s, places)  # where each tendon has an arrow
-    along, there = geometry.planar_fields_along(equilibrium, s), geometry.reached(manipulator, s)
-    forces, body = np.stack([along.normal_force, along.friction_force]), geometry.bent_body(manipulator, along)
-    tendons = geometry.tendon_paths(manipulator, body, s)
+    along = in_the_plane(fields_along(equilibrium, s), "figures")
+    what, there = drawn(manipulator, along), reached(manipulator, s)
+    tendons, at = what.tendons[..., :2], there & np.isin(s, places)  # where each tendon has an arrow
+    forces = np.stack([along.normal_force, along.friction_force])
     strongest = float(np.max(np.linalg.norm(forces[:, there], axis=-1)))
     with draw.axes_or_new(axes, HEIGHT) as axes:
-        draw.draw_body(axes, body)
+        draw.draw_body(axes, what.body)
         for path in tendons:
             axes.plot(*path.T, color=looks.BLACK, linewidth=0.5)
         heights = (0.13, 0.05) if axes.dataLim.y0 + axes.dataLim.y1 < 0 else (0.95, 0.87)
         look: looks.Look = {"angles": "xy", "scale_units": "xy", "units": "inches", "width": 0.011, "zorder": 3}
         kinds = zip(("normal", "friction"), (looks.BLUE, looks.VERMILION), forces[:, at], heights, strict=True)
         for name, color, force, height in kinds if strongest > 0 else ():
-            size, key = 1e3 * LONGEST * length / strongest, round_number(strongest)  # mm per N/m; N/m of the key
+            size, key = LONGEST * what.length / strongest, round_number(strongest)  # mm per N/m; N/m of the key
             axes.update_datalim(tendons[at] + size * force)
             arrows = axes.quiver(*tendons[at].T, *force.T, scale=1 / size, color=color, **look)
             axes.quiverkey(arrows, 0.17, height, key, f"{name} force, {key:g} N/m", labelpos="E", color=color)

@@ -1,4 +1,7 @@
-"""The arrays that figures and the explorer draw: outline of a body, tendons, fields along it. No Matplotlib here."""
+"""The arrays that figures and the explorer draw: outline of a body, tendons, fields along it. No Matplotlib here.
+
+All places have three coordinates, mm. A body in the plane lies at Z = 0.
+"""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -7,7 +10,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from ..errors import InputError
-from ..mechanics.fields import AnyFields, Fields, SpatialFields, in_the_plane
+from ..mechanics.fields import AnyFields, SpatialFields
 from ..numerics.arrays import evaluated
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
@@ -16,42 +19,34 @@ from ..statics.equilibrium import Equilibrium
 
 AROUND = 32  # points around a cross-section
 ELEVATION, AZIMUTH = 24.0, -58.0  # deg, from where a body in space is seen
-GREATEST_MOMENT_ARC = np.radians(190.0)  # it stays clear of the body behind the tip
+MOMENT_ARC = np.radians(190.0)  # in the plane it stays clear of the body behind the tip
 
 
 class Body(NamedTuple):
-    """A bent body as it is drawn: lengths in one unit, headings in radians, points along the body first."""
+    """A body as it is drawn, points along it first."""
 
-    midline: np.ndarray  # (points, 2)
-    heading: np.ndarray
+    midline: np.ndarray  # (points, 3)
+    frame: np.ndarray  # (points, 3, 3), whose columns are the axes of the cross-sections, x along the axis
     outer_radius: np.ndarray
     inner_radius: np.ndarray
 
     def at_distance(self, distance: ArrayLike) -> np.ndarray:
-        """The line at a signed distance to the left of the midline, (points, 2)."""
-        left = np.stack([-np.sin(self.heading), np.cos(self.heading)], axis=-1)
-        return self.midline + np.asarray(distance)[..., None] * left
+        """The line at a signed distance from the midline along the axes y, in the plane on the left, (points, 3)."""
+        return self.midline + np.asarray(distance)[..., None] * self.frame[:, :, 1]
 
     @property
     def outline(self) -> np.ndarray:
-        """The outer surface, up one side and back on the other, (2 points, 2)."""
-        return np.concatenate([self.at_distance(self.outer_radius), self.at_distance(-self.outer_radius)[::-1]])
+        """The outer surface in the plane, up one side and back on the other, (2 points, 2)."""
+        sides = self.at_distance(self.outer_radius), self.at_distance(-self.outer_radius)[::-1]
+        return np.concatenate(sides)[:, :2]
 
     @property
     def walls(self) -> list[np.ndarray]:
-        """Outlines of what is solid, (points, 2) each: two where there is a bore, one where there is none."""
+        """Outlines in the plane of what is solid, (points, 2) each: two where there is a bore, else one."""
         if not np.any(self.inner_radius):
             return [self.outline]
-        outside, inside = ([self.at_distance(s * r) for s in (+1, -1)] for r in (self.outer_radius, self.inner_radius))
-        return [np.concatenate([wall, bore[::-1]]) for wall, bore in zip(outside, inside, strict=True)]
-
-
-class SpatialBody(NamedTuple):
-    """A bent body in space as it is drawn: lengths in mm, points along the body first."""
-
-    midline: np.ndarray  # (points, 3)
-    frame: np.ndarray  # (points, 3, 3), whose columns are the axes of the cross-sections
-    outer_radius: np.ndarray
+        pairs = [(self.at_distance(s * self.outer_radius), self.at_distance(s * self.inner_radius)) for s in (+1, -1)]
+        return [np.concatenate([wall, bore[::-1]])[:, :2] for wall, bore in pairs]
 
     @property
     def rings(self) -> np.ndarray:
@@ -67,13 +62,13 @@ class SpatialBody(NamedTuple):
 
 
 class Drawn(NamedTuple):
-    """What is drawn of an equilibrium in space, mm."""
+    """What is drawn of an equilibrium, mm."""
 
-    body: SpatialBody
-    straight: SpatialBody
+    body: Body
+    straight: Body
     tendons: np.ndarray  # (tendons, points, 3), NaN beyond the anchor
     tension: np.ndarray  # N, (tendons, points), NaN there too
-    loads: Loads
+    loads: Loads  # with three components
 
     @property
     def length(self) -> float:
@@ -90,10 +85,15 @@ class Drawn(NamedTuple):
         return self.plate * _circle(61)
 
     @property
+    def anchors(self) -> np.ndarray:
+        """Where the tendons end, (tendons, 3)."""
+        return np.stack([path[np.isfinite(path[:, 0])][-1] for path in self.tendons])
+
+    @property
     def force_arrows(self) -> list[np.ndarray]:
-        """Start and end of an arrow along each force, (2, 3), a fifth of the length: at the tip and at points."""
+        """Start and end of an arrow along each force, (2, 3), a fifth of the length, ahead of the body."""
         arrows = []
-        for i, force, _ in _acting(self.loads, self.straight.midline[:, 0]):
+        for i, force, _ in self._acting():
             if np.any(force):
                 at, reach = self.body.midline[i], 0.2 * self.length * force / np.linalg.norm(force)
                 ahead = reach @ self.body.frame[i, :, 0] > -1e-9 * self.length
@@ -102,17 +102,28 @@ class Drawn(NamedTuple):
 
     @property
     def moment_arrows(self) -> list[np.ndarray]:
-        """An arc around the body as each moment turns, (points, 3): at the tip and at points."""
-        arcs, angles = [], np.linspace(0.0, 1.5 * np.pi, 61)[:, None]
-        for i, _, moment in _acting(self.loads, self.straight.midline[:, 0]):
+        """An arc ahead of the body, or around it, as each moment turns, (points, 3)."""
+        arcs = []
+        for i, _, moment in self._acting():
             if np.any(moment):
                 about = moment / np.linalg.norm(moment)
-                start = np.cross(about, np.eye(3)[np.argmin(np.abs(about))])
-                start /= np.linalg.norm(start)
-                ring = max(1.4 * self.body.outer_radius[i], 8.0)
-                around = np.cos(angles) * start + np.sin(angles) * np.cross(about, start)
+                axes = self.body.frame[i].T
+                across = axes - np.outer(axes @ about, about)
+                middle = across[0] if np.linalg.norm(across[0]) > 0.1 else across[1]  # it may turn about the axis
+                middle = middle / np.linalg.norm(middle)
+                ring = max(1.4 * self.body.outer_radius[i], 0.06 * self.length)
+                angles = MOMENT_ARC * np.linspace(-0.5, 0.5, 61)[:, None]
+                around = np.cos(angles) * middle + np.sin(angles) * np.cross(about, middle)
                 arcs.append(self.body.midline[i] + ring * around)
         return arcs
+
+    def _acting(self) -> list[tuple[int, np.ndarray, np.ndarray]]:
+        """Forces and moments with the indices of their arc lengths: at the tip and at points."""
+        s, points = self.straight.midline[:, 0], self.loads.points
+        places = [-1, *(int(np.argmin(np.abs(s - 1e3 * float(point.arc_length)))) for point in points)]
+        forces = [self.loads.tip_force, *(point.force for point in points)]
+        moments = [self.loads.tip_moment, *(point.moment for point in points)]
+        return list(zip(places, map(np.asarray, forces), map(np.asarray, moments), strict=True))
 
     @property
     def points(self) -> np.ndarray:
@@ -143,113 +154,50 @@ def fields_along(equilibrium: Equilibrium, arc_length: np.ndarray) -> AnyFields:
     return fields
 
 
-def planar_fields_along(equilibrium: Equilibrium, arc_length: np.ndarray) -> Fields:
-    """The same for a body in the plane."""
-    return in_the_plane(fields_along(equilibrium, arc_length), "figures")
-
-
 def reached(manipulator: Manipulator, arc_length: ArrayLike) -> np.ndarray:
     """Which arc lengths each tendon reaches, (tendons, points)."""
     ends = [np.inf if tendon.end is None else float(tendon.end) for tendon in manipulator.tendons]
     return np.asarray(arc_length) <= np.asarray(ends)[:, None]
 
 
-def bent_body(manipulator: Manipulator, fields: Fields) -> Body:
-    """The body in an equilibrium, from the fields along it."""
-    return _body(manipulator, np.asarray(fields.arc_length), np.asarray(fields.position), np.asarray(fields.heading))
-
-
-def straight_body(manipulator: Manipulator, arc_length: np.ndarray, level: float = 0.0) -> Body:
-    """The body at rest, its axis at the height `level`, mm."""
-    midline = np.stack([arc_length, np.full_like(arc_length, 1e-3 * level)], axis=-1)
-    return _body(manipulator, arc_length, midline, 0.0 * arc_length)
-
-
-def drawn(manipulator: Manipulator, along: AnyFields, loads: Loads | None) -> Drawn:
-    """The body, tendons and loads to draw, from the fields along a body in space; the plane is refused."""
-    if not isinstance(along, SpatialFields):
-        raise InputError("figures: the body is in the plane; draw_shape draws it")
-    s = np.asarray(along.arc_length)
-    there, outer = reached(manipulator, s), 1e3 * _radii(manipulator, s)[0]
-    return Drawn(
-        body=SpatialBody(1e3 * np.asarray(along.position), np.asarray(along.frame), outer),
-        straight=SpatialBody(np.outer(1e3 * s, [1.0, 0.0, 0.0]), np.tile(np.eye(3), (len(s), 1, 1)), outer),
-        tendons=np.where(there[..., None], 1e3 * np.asarray(along.path), np.nan),
-        tension=np.where(there, along.tension, np.nan),
-        loads=(Loads() if loads is None else loads).with_components(3),
-    )
-
-
-def tendon_paths(manipulator: Manipulator, body: Body, arc_length: ArrayLike) -> np.ndarray:
-    """The line of each tendon in the plane of a drawn body, mm, (tendons, points, 2); NaN beyond its anchor."""
-    side = np.asarray([tendon.side for tendon in manipulator.tendons])[:, None]
-    distance = side * 1e3 * evaluated(Manipulator.offset, manipulator, arc_length)
-    distance = np.where(reached(manipulator, arc_length), distance, np.nan)
-    return np.stack([body.at_distance(d) for d in distance])
-
-
-def _acting(loads: Loads, arc_length: np.ndarray) -> list[tuple[int, np.ndarray, np.ndarray]]:
-    """Where forces and moments act, as indices of arc lengths, mm: at the tip and at points."""
-    tip = arc_length.size - 1, np.asarray(loads.tip_force), np.asarray(loads.tip_moment)
-    places = [int(np.argmin(np.abs(arc_length - 1e3 * float(point.arc_length)))) for point in loads.points]
-    own = [(np.asarray(point.force), np.asarray(point.moment)) for point in loads.points]
-    return [tip, *((i, *both) for i, both in zip(places, own, strict=True))]
-
-
-def _acting_in_plane(body: Body, loads: Loads) -> list[tuple[int, np.ndarray, np.ndarray]]:
-    steps = np.linalg.norm(np.diff(body.midline, axis=0), axis=1)
-    return _acting(loads, np.append(0.0, np.cumsum(steps)))
-
-
-def force_lines(body: Body, loads: Loads, length: float) -> list[np.ndarray]:
-    """The lines of arrows along the forces, (points, 2), a fifth of a length, mm: at the tip and at points.
-
-    Each starts where its force acts, or ends there: it lies ahead of the body.
-    """
-    lines = []
-    for i, force, _ in _acting_in_plane(body, loads):
-        if np.any(force):
-            ahead = np.array([np.cos(body.heading[i]), np.sin(body.heading[i])])
-            reach = 0.2 * length * force / np.linalg.norm(force)
-            start = body.midline[i] - (reach if reach @ ahead < -1e-9 else 0.0)
-            lines.append(np.linspace(start, start + reach, 25))
-    return lines
-
-
-def moment_lines(body: Body, loads: Loads, length: float) -> list[np.ndarray]:
-    """The lines of arrows around the body as the moments turn, (points, 2), mm: at the tip and at points."""
-    lines = []
-    for i, _, moment in _acting_in_plane(body, loads):
-        if np.any(moment):
-            ring = max(1.4 * body.outer_radius[i], 0.06 * length)
-            angles = body.heading[i] + np.sign(moment) * np.linspace(-0.5, 0.5, 61) * GREATEST_MOMENT_ARC
-            lines.append(body.midline[i] + ring * np.stack([np.cos(angles), np.sin(angles)], axis=-1))
-    return lines
-
-
-def _radii(manipulator: Manipulator, arc_length: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Outer and inner radius, m; a body without radii is drawn with the offset of its outermost tendon, solid."""
+def straight_body(manipulator: Manipulator, arc_length: np.ndarray) -> Body:
+    """The body at rest along X; one without radii is drawn with the offset of its outermost tendon, solid."""
     if manipulator.has_radii:
-        return evaluated(Manipulator.radii, manipulator, arc_length)
-    outer = np.max(evaluated(Manipulator.offset, manipulator, arc_length), axis=0)
-    return outer, 0.0 * outer
+        outer, inner = evaluated(Manipulator.radii, manipulator, arc_length)
+    else:
+        outer = np.max(evaluated(Manipulator.offset, manipulator, arc_length), axis=0)
+        inner = 0.0 * outer
+    midline, frame = np.outer(1e3 * arc_length, [1.0, 0.0, 0.0]), np.tile(np.eye(3), (len(arc_length), 1, 1))
+    return Body(midline, frame, 1e3 * outer, 1e3 * inner)
 
 
-def _circle(count: int) -> np.ndarray:
-    """A closed circle of points around the axis x, (count, 3)."""
-    angles = np.linspace(0.0, 2 * np.pi, count)
-    return np.stack([0.0 * angles, np.cos(angles), np.sin(angles)], axis=-1)
+def drawn(manipulator: Manipulator, along: AnyFields, loads: Loads | None = None) -> Drawn:
+    """The body, tendons and loads to draw, from the fields along a body."""
+    s = np.asarray(along.arc_length)
+    straight, there = straight_body(manipulator, s), reached(manipulator, s)
+    if isinstance(along, SpatialFields):
+        position, frame = along.position, along.frame
+    else:
+        x, y, none = np.cos(along.heading), np.sin(along.heading), 0.0 * s
+        position = np.pad(along.position, ((0, 0), (0, 1)))
+        frame = np.moveaxis(np.array([[x, -y, none], [y, x, none], [none, none, none + 1]]), 2, 0)
+    body = straight._replace(midline=1e3 * np.asarray(position), frame=np.asarray(frame))
+    acting = (Loads() if loads is None else loads).with_components(3)
+    return Drawn(body, straight, tendon_paths(manipulator, body, s), np.where(there, along.tension, np.nan), acting)
+
+
+def tendon_paths(manipulator: Manipulator, body: Body, arc_length: np.ndarray) -> np.ndarray:
+    """The line of each tendon in a drawn body, (tendons, points, 3); NaN beyond its anchor."""
+    arms = 1e3 * evaluated(Manipulator.arms, manipulator, arc_length)
+    paths = body.midline + np.einsum("pij,tpj->tpi", body.frame, arms)
+    return np.where(reached(manipulator, arc_length)[..., None], paths, np.nan)
+
+
+# --- fields along it -----------------------------------------------------------------------------
 
 
 def _size(vectors: ArrayLike) -> np.ndarray:
     return np.linalg.norm(vectors, axis=-1)
-
-
-def _bent(along: AnyFields) -> tuple[ArrayLike, ArrayLike, ArrayLike]:
-    """Size of the bending, twist, and heading: in space the angle between the axes of cross-section and base."""
-    if isinstance(along, Fields):
-        return np.abs(along.curvature), np.zeros_like(along.curvature), along.heading
-    return _size(along.curvature[..., 1:]), along.twist, np.arccos(np.clip(along.frame[..., 0, 0], -1.0, 1.0))
 
 
 def _angles(manipulator: Manipulator, arc_length: ArrayLike) -> np.ndarray:
@@ -260,12 +208,12 @@ def _angles(manipulator: Manipulator, arc_length: ArrayLike) -> np.ndarray:
 ALONG: dict[str, Callable[[Manipulator, AnyFields], ArrayLike]] = {
     "tension": lambda _, along: along.tension,
     "curvature": lambda _, along: np.transpose(along.curvature),  # in space (3, points)
-    "bending": lambda _, along: _bent(along)[0],
-    "twist": lambda _, along: _bent(along)[1],
+    "bending": lambda _, along: np.abs(along.bend()),
+    "twist": lambda _, along: along.twist if isinstance(along, SpatialFields) else 0.0 * along.curvature,
     "normal_force": lambda _, along: _size(along.normal_force),
     "friction_force": lambda _, along: _size(along.friction_force),
-    "strain": lambda body, along: 100 * np.abs(body.outer_strain(along.arc_length, _bent(along)[0])),
-    "heading": lambda _, along: np.degrees(_bent(along)[2]),
+    "strain": lambda body, along: 100 * np.abs(body.outer_strain(along.arc_length, along.bend())),
+    "heading": lambda _, along: np.degrees(along.tilt()),
     "offset": lambda body, along: 1e3 * np.asarray(body.offset(along.arc_length)),
     "angle": lambda body, along: np.degrees(_angles(body, along.arc_length)),
 }
@@ -282,12 +230,12 @@ def lines_along(manipulator: Manipulator, along: AnyFields, quantity: str) -> np
     if quantity == "strain" and manipulator.extensible:
         raise InputError("figures: the strain along an axis that stretches is not known; see peak_strain")
     values = np.asarray(ALONG[quantity](manipulator, along))
-    if quantity == "curvature" and values.ndim == 2:
-        return values
-    return values[None] if values.ndim == 1 else np.where(reached(manipulator, along.arc_length), values, np.nan)
+    if quantity == "curvature" or values.ndim == 1:
+        return np.atleast_2d(values)
+    return np.where(reached(manipulator, along.arc_length), values, np.nan)
 
 
-def _body(manipulator: Manipulator, arc_length: np.ndarray, midline: np.ndarray, heading: np.ndarray) -> Body:
-    """A body to draw, mm, from arc lengths and points of the midline, m."""
-    outer, inner = _radii(manipulator, arc_length)
-    return Body(1e3 * midline, heading, 1e3 * outer, 1e3 * inner)
+def _circle(count: int) -> np.ndarray:
+    """A closed circle of points around the axis x, (count, 3)."""
+    angles = np.linspace(0.0, 2 * np.pi, count)
+    return np.stack([0.0 * angles, np.cos(angles), np.sin(angles)], axis=-1)

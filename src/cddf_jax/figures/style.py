@@ -8,22 +8,21 @@ from typing import Any, TypeAlias, TypeVar, cast
 
 import matplotlib as mpl
 import numpy as np
+from jaxtyping import ArrayLike
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap, Normalize
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, FigureBase
 from matplotlib.lines import Line2D
 from matplotlib.markers import MarkerStyle
 from matplotlib.patches import Rectangle
 from matplotlib.style import context
-from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from ..errors import InputError
-from ..files.writing import write_all
 from ..progress import stage
 from ..robot.loads import Loads
 from .geometry import Body
@@ -35,21 +34,15 @@ Settings: TypeAlias = dict[Any, LookValue]  # by the names of Matplotlib's rcPar
 SINGLE_COLUMN, DOUBLE_COLUMN = 3.5, 7.16  # inches, the columns of IEEE's two-column page
 # perceptually uniform, for colour-blind readers and for grey prints: the higher the tension the darker
 TENSION_COLOURS = LinearSegmentedColormap.from_list("tension", mpl.colormaps["viridis_r"](np.linspace(0.05, 1.0, 256)))
-# of files: sharp in print, fonts that journals accept, and the same bytes for the same figure
-FILES: Settings = {
-    "savefig.dpi": 300,
-    "savefig.bbox": None,
-    "pdf.fonttype": 42,
-    "svg.hashsalt": "cddf",
-}
-METADATA: dict[str, dict[str, None]] = {"pdf": {"CreationDate": None}, "png": {"Software": None}, "svg": {"Date": None}}
+# the same bytes for the same figure
+METADATA: dict[str, dict[str, None]] = {"pdf": {"CreationDate": None}, "png": {"Software": None}}
 STYLE = Path(__file__).with_name("house.mplstyle")
 
 
 @contextmanager
 def house_style() -> Iterator[None]:
     """The house style within the block, nothing changed outside it."""
-    with context([STYLE, FILES], after_reset=True):
+    with context(STYLE, after_reset=True):
         yield
 
 
@@ -61,21 +54,15 @@ class HouseFigure(Figure):
         with house_style():
             super().draw(renderer)
 
+    def savefig(self, fname: Any, **options: Any) -> None:
+        """Write it as Matplotlib does: sharp in print, with fonts that journals accept."""
+        with house_style():
+            super().savefig(fname, **options)
+
 
 def new_figure(width: float, height: float) -> Figure:
     """An empty figure, inches; call it within `house_style`."""
     return HouseFigure(figsize=(width, height), layout="constrained")
-
-
-def placed_figure(width: float, height: float) -> Figure:
-    """An empty figure, inches, whose axes are placed by hand: plots in three dimensions do not know their size."""
-    return HouseFigure(figsize=(width, height))
-
-
-def place_in(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:
-    """Axes at a place of a figure, inches."""
-    across, up = figure.get_size_inches()
-    return figure.add_axes((left / across, bottom / up, width / across, height / up))
 
 
 def panel_axes(count: int, height: float) -> tuple[Figure, list[Axes]]:
@@ -106,26 +93,23 @@ def tension_scale(tension: np.ndarray) -> Normalize:
     return Normalize(low if high - low > 1e-3 * high else 0.0, high or 1.0)
 
 
-def scale_beside(axes: Axes, norm: Normalize, label: str, **look: LookValue) -> None:
+def scale_beside(axes: Axes, norm: Normalize, label: str) -> None:
     """The colours of values beside axes."""
-    figure_of(axes).colorbar(ScalarMappable(norm, TENSION_COLOURS), ax=axes, label=label, aspect=35, **look)
-
-
-def colour_scale(figure: Figure, norm: Normalize, label: str, left: float, bottom: float, height: float) -> None:
-    """The colours of values at a place of a figure, inches."""
-    ticks = MaxNLocator(6, steps=[1, 2, 5, 10])
-    place = place_in(figure, left, bottom, 0.07, height)
-    figure.colorbar(ScalarMappable(norm, TENSION_COLOURS), cax=place, label=label, ticks=ticks)
+    look: Settings = {"shrink": 0.7, "pad": 0.14} if isinstance(axes, Axes3D) else {"pad": 0.02}
+    figure = cast(FigureBase, axes.get_figure(root=False))
+    figure.colorbar(ScalarMappable(norm, TENSION_COLOURS), ax=axes, label=label, aspect=35, **look)
 
 
 @contextmanager
-def axes_or_new(axes: Axes | None, height: float) -> Iterator[Axes]:
+def axes_or_new(axes: Axes | None, height: float, *, in_space: bool = False) -> Iterator[Axes]:
     """The axes to draw into: those given, in their own style, or new ones in the house style, in a figure in inches."""
     if axes is not None:
+        if in_space and not isinstance(axes, Axes3D):
+            raise InputError('figures: the body is in space; give axes with projection="3d", or none')
         yield axes
         return
     with house_style():
-        yield new_figure(SINGLE_COLUMN, height).subplots()
+        yield new_figure(SINGLE_COLUMN, height).add_subplot(projection="3d" if in_space else None)
 
 
 def figure_of(axes: Axes) -> Figure:
@@ -140,37 +124,33 @@ def legend_above(axes: Axes, columns: int = 2) -> None:
         axes.legend(found.values(), found.keys(), ncols=min(columns, len(found)), **look)
 
 
-def legend_of_loads(where: Axes | Figure, loads: Loads, **look: LookValue) -> None:
-    """The size of each load by its arrow; arrows in the plane, and numbers in space, tell the way of gravity."""
-    force, moment, gravity = (np.asarray(x) for x in (loads.tip_force, loads.tip_moment, loads.gravity))
-    in_plane = force.size == 2
-    turn = r"$\curvearrowright$" if in_plane and moment < 0 else r"$\curvearrowleft$"
-    numbers = f"({', '.join(f'{x:.3g}' for x in gravity)})".replace("-", "\N{MINUS SIGN}")
+def legend_of_loads(axes: Axes, loads: Loads, *, in_space: bool) -> None:
+    """The size of each load, of three components, by its arrow; in space numbers tell the way of gravity."""
 
-    def along(vector: np.ndarray) -> MarkerStyle:
-        return MarkerStyle(r"$\rightarrow$").rotated(rad=float(np.arctan2(vector[1], vector[0])) if in_plane else 0.0)
+    def size(vector: ArrayLike) -> str:
+        return f"{np.linalg.norm(np.asarray(vector)):.3g}"
 
+    way = f"({', '.join(f'{x:.3g}' for x in np.asarray(loads.gravity))})".replace("-", "\N{MINUS SIGN}")
+    gravity = way if in_space else size(loads.gravity)
     entries = [
-        (force, f"$F$ = {np.linalg.norm(force):.3g} N", along(force), VERMILION),
-        (moment, f"$m$ = {np.linalg.norm(moment):.3g} N m", turn, PURPLE),
-        (gravity, f"$g$ = {f'{np.linalg.norm(gravity):.3g}' if in_plane else numbers} m/s$^2$", along(gravity), BLACK),
+        (loads.tip_force, f"$F$ = {size(loads.tip_force)} N", VERMILION),
+        (loads.tip_moment, f"$m$ = {size(loads.tip_moment)} N m", PURPLE),
+        (loads.gravity, f"$g$ = {gravity} m/s$^2$", BLACK),
     ]
     for point in loads.points:
-        own, turned, place = (
-            np.asarray(point.force),
-            np.asarray(point.moment),
-            f"at {1e3 * float(point.arc_length):.3g} mm",
-        )
-        curl = r"$\curvearrowright$" if in_plane and turned < 0 else r"$\curvearrowleft$"
-        entries.append((own, f"{np.linalg.norm(own):.3g} N {place}", along(own), VERMILION))
-        entries.append((turned, f"{np.linalg.norm(turned):.3g} N m {place}", curl, PURPLE))
-    handles = [
-        Line2D([], [], marker=marker, color=color, linestyle="none", markersize=9, label=label)
-        for load, label, marker, color in entries
-        if np.any(load)
-    ]
+        place = f"at {1e3 * float(point.arc_length):.3g} mm"
+        entries.append((point.force, f"{size(point.force)} N {place}", VERMILION))
+        entries.append((point.moment, f"{size(point.moment)} N m {place}", PURPLE))
+    handles = []
+    for load, label, color in entries:
+        x, y, turn = np.asarray(load)
+        marker = MarkerStyle(r"$\rightarrow$").rotated(rad=0.0 if in_space else float(np.arctan2(y, x)))
+        if color == PURPLE:
+            marker = r"$\curvearrowright$" if turn < 0 else r"$\curvearrowleft$"
+        if np.any(load):
+            handles.append(Line2D([], [], marker=marker, color=color, linestyle="none", markersize=9, label=label))
     if handles:
-        where.legend(handles=handles, columnspacing=1.2, handletextpad=0.3, **look)
+        axes.legend(handles=handles, loc="upper left" if in_space else "best", columnspacing=1.2, handletextpad=0.3)
 
 
 def common_legend(figure: Figure, panels: Sequence[Axes]) -> None:
@@ -202,35 +182,12 @@ def to_scale(axes: Axes) -> None:
 @stage("drawing")
 def render(figure: Figure, name: str) -> dict[str, bytes]:
     """The figure as PDF and PNG (300 dpi) by file name; the same bytes for the same figure."""
-    return {f"{name}.{suffix}": _bytes(figure, suffix) for suffix in ("pdf", "png")}
-
-
-def save(figure: Figure, path: str | Path) -> Path:
-    """Write a figure to a file, at its size in inches, completely or not at all.
-
-    Args:
-        figure: such as `axes.figure`.
-        path: ends in .pdf or .svg, or .png for 300 dpi. Its folder is made if it is missing.
-
-    Returns:
-        The path.
-
-    Raises:
-        InputError: for another suffix, or when the file cannot be written.
-    """
-    path = Path(path)
-    suffix = path.suffix.lower().removeprefix(".")
-    if suffix not in METADATA:
-        raise InputError(f"save: {path.name!r} must end in .pdf, .png or .svg, which sets the format")
-    write_all(path.parent, {path.name: _bytes(figure, suffix)})
-    return path
-
-
-def _bytes(figure: Figure, suffix: str) -> bytes:
-    buffer = BytesIO()
-    with mpl.rc_context(FILES):
-        figure.savefig(buffer, format=suffix, metadata=METADATA[suffix])
-    return buffer.getvalue()
+    files = {}
+    for suffix, metadata in METADATA.items():
+        buffer = BytesIO()
+        figure.savefig(buffer, format=suffix, metadata=metadata)
+        files[f"{name}.{suffix}"] = buffer.getvalue()
+    return files
 
 
 def draw_band(axes: Axes, x: np.ndarray, lower: np.ndarray, upper: np.ndarray, **style: LookValue) -> None:
@@ -272,7 +229,7 @@ def draw_body(axes: Axes, body: Body) -> None:
     look = {"facecolor": PALE, "edgecolor": GREY, "linewidth": 0.5}
     for wall in body.walls:
         axes.fill(*wall.T, **look)
-    axes.plot(*body.midline.T, color=GREY, linestyle=(0, (8, 2, 1, 2)), linewidth=0.6)
+    axes.plot(*body.midline[:, :2].T, color=GREY, linestyle=(0, (8, 2, 1, 2)), linewidth=0.6)
     axes.set_aspect("equal")
 
 

@@ -112,7 +112,7 @@ def _chosen(who: str, dataset: "xarray.Dataset", output: str, over: Sequence[str
     if (path := answer.attrs.get(PATH)) in own:
         answer = answer.assign_attrs({PATH: over[own.index(path)]})
     answer = answer.swap_dims(dict(zip(own, over, strict=True)))
-    some = answer.isel({name: _spread(answer.sizes[name], VALUES) for name in over}).load()
+    some = answer.isel({name: spread(answer.sizes[name], VALUES) for name in over}).load()
     some = some.sortby([name for name in over if name != answer.attrs.get(PATH)])
     return in_label_units(some)[output].transpose(*over, ...)
 
@@ -172,7 +172,7 @@ def _over_a_tension(answer: "xarray.Dataset") -> "xarray.Dataset":
     return answer.swap_dims({path: widest}).assign_attrs({PATH: widest})
 
 
-def _spread(size: int, most: int) -> np.ndarray:
+def spread(size: int, most: int) -> np.ndarray:
     """At most `most` places, evenly spread over an axis, with both ends."""
     return np.unique(np.linspace(0, size - 1, min(size, most)).round().astype(int))
 
@@ -230,7 +230,7 @@ def _draw_map(axes: Axes, array: "xarray.DataArray", x: str, y: str) -> None:
     if lost:
         look = {"facecolor": looks.PALE, "edgecolor": looks.GREY, "hatch": "/////", "linewidth": 0.0, "zorder": 0}
         axes.add_patch(Rectangle((0, 0), 1, 1, transform=axes.transAxes, label=f"hatched: {lost}", **look))
-    draw.scale_beside(axes, norm, axis_label(array), pad=0.02)
+    draw.scale_beside(axes, norm, axis_label(array))
 
 
 def _levels(there: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from ..statics.named_numbers import stem_and_tendon
 from ..statics.status import Status
 from ..sweeping.one_solve import RESULT
 from . import looks, space, style as draw
-from .sweeps import axis_label, in_label_units, results_in_words
+from .sweeps import axis_label, in_label_units, results_in_words, spread
 
 if TYPE_CHECKING:
     import xarray
@@ -25,20 +25,16 @@ TOTAL = "total_tension"
 class Cloud(NamedTuple):
     """Tips and what colours them; failed solves are left out."""
 
-    tips: np.ndarray  # mm, (solves, components)
+    tips: np.ndarray  # mm, (solves, 3), at Z = 0 in the plane
     values: np.ndarray
     codes: np.ndarray  # of the results
     label: str
-    left_out: list[str]  # in words
+    lost: str  # which solves are left out, in words
+    in_space: bool
 
     @property
     def norm(self) -> Normalize:
         return Normalize(self.values.min(), self.values.max())
-
-    @property
-    def size(self) -> float:
-        """The size of a dot, points."""
-        return float(np.clip(60.0 / np.sqrt(len(self.tips)), 0.8, 3.5))
 
 
 def draw_workspace(dataset: "xarray.Dataset", by: "str | xarray.DataArray" = TOTAL, axes: Axes | None = None) -> Axes:
@@ -59,17 +55,9 @@ def draw_workspace(dataset: "xarray.Dataset", by: "str | xarray.DataArray" = TOT
         InputError: for a dataset without tips or without a successful solve, or a name that is not there.
     """
     cloud = _cloud("draw_workspace", dataset, by)
-    if cloud.tips.shape[1] == 2:
-        with draw.axes_or_new(axes, 2.6) as axes:
-            _draw_dots(axes, cloud, "XY")
-            draw.to_scale(axes)
-            draw.scale_beside(axes, cloud.norm, cloud.label, pad=0.02)
-            _legend(axes, cloud)
-        return axes
-    with space.scene_or_new(axes, cloud.tips, cloud.norm, cloud.label) as scene:
-        _draw_cloud(scene, cloud)
-        _legend(draw.figure_of(scene) if axes is None else scene, cloud)
-    return scene
+    with draw.axes_or_new(axes, space.HEIGHT, in_space=cloud.in_space) as axes:
+        _draw_cloud(axes, cloud)
+    return axes
 
 
 def workspace_figure(dataset: "xarray.Dataset", by: "str | xarray.DataArray" = TOTAL) -> Figure:
@@ -82,16 +70,11 @@ def workspace_figure(dataset: "xarray.Dataset", by: "str | xarray.DataArray" = T
         InputError: as `draw_workspace`.
     """
     cloud = _cloud("workspace_figure", dataset, by)
-    if cloud.tips.shape[1] == 2:
+    if not cloud.in_space:
         return draw.figure_of(draw_workspace(dataset, by))
     with draw.house_style():
-        width, below = 5.9, space.VIEWS_HEIGHT + 0.15
-        figure = draw.placed_figure(draw.DOUBLE_COLUMN, below + 3.3)
-        scene, _ = space.new_scene(figure, cloud.tips, 1.3, below + 0.55, width - 2.0, 2.6)
-        _draw_cloud(scene, cloud)
-        draw.colour_scale(figure, cloud.norm, cloud.label, width, below + 0.8, 2.0)
-        space.draw_views(figure, lambda axes, plane: _draw_dots(axes, cloud, plane), cloud.tips)
-        _legend(figure, cloud)
+        figure, above = space.figure_with_views(3.0, cloud.tips, lambda axes, plane: _draw_dots(axes, cloud, plane))
+        _draw_cloud(above.add_subplot(projection="3d"), cloud)
     return figure
 
 
@@ -108,15 +91,15 @@ def _cloud(who: str, dataset: "xarray.Dataset", by: "str | xarray.DataArray") ->
     codes = given[RESULT].values.ravel()
     tips = shown["tip_position"].transpose(*swept, "component").values.reshape(len(codes), -1)
     values = shown[name].broadcast_like(given[RESULT]).transpose(*swept).values.ravel()
-    there = np.all(np.isfinite(tips), axis=1) & np.isfinite(values)
-    if not np.any(there):
+    there = np.flatnonzero(np.all(np.isfinite(tips), axis=1) & np.isfinite(values))
+    if not there.size:
         raise InputError(f"{who}: no solve gave a tip; see the results of the sweep")
-    count = f"no number: {np.sum(~there):,} of {len(codes):,}"
-    lost = ", ".join(filter(None, [count, results_in_words(codes[~there])]))
-    places = np.flatnonzero(there)
-    some = places[np.unique(np.linspace(0, len(places) - 1, min(len(places), MOST)).round().astype(int))]
-    words = [] if np.all(there) else [lost]
-    return Cloud(tips[some], values[some], codes[some], axis_label(shown[name]), words)
+    count = f"no number: {len(codes) - len(there):,} of {len(codes):,}"
+    lost = ", ".join(filter(None, [count, results_in_words(np.delete(codes, there))]))
+    some, components = there[spread(len(there), MOST)], tips.shape[1]
+    places = np.pad(tips[some], ((0, 0), (0, 3 - components)))
+    words = lost if len(there) < len(codes) else ""
+    return Cloud(places, values[some], codes[some], axis_label(shown[name]), words, components == 3)
 
 
 def _coloured_by(who: str, dataset: "xarray.Dataset", by: "str | xarray.DataArray") -> "xarray.DataArray":
@@ -149,46 +132,46 @@ def _total_tension(who: str, dataset: "xarray.Dataset") -> "xarray.DataArray":
 # --- drawing -------------------------------------------------------------------------------------
 
 
-def _draw_cloud(axes: space.Axes3D, cloud: Cloud) -> None:
-    """Dots, the nearest on top, and their shadows on the walls."""
-    walls = axes.get_xlim()[0], axes.get_ylim()[1], axes.get_zlim()[0]
-    for across, wall in enumerate(walls):
-        flat = cloud.tips.copy()
-        flat[:, across] = wall
-        _scatter(axes, flat, cloud.size, color=looks.PALE, zorder=1)
-    order = np.argsort(cloud.tips @ space.sight(), kind="stable")
-    _draw_coloured(axes, cloud.tips[order], cloud.values[order], cloud.codes[order], cloud)
+def _draw_cloud(axes: Axes, cloud: Cloud) -> None:
+    """The whole cloud with its scale of colours and its legend: in the plane, or in space with shadows on the walls."""
+    if not cloud.in_space:
+        _draw_dots(axes, cloud, "XY")
+        draw.to_scale(axes)
+    else:
+        scene = space.set_scene(axes, cloud.tips)
+        for across, wall in enumerate(space.walls_behind(scene)):
+            flat = np.insert(np.delete(cloud.tips, across, axis=1), across, wall, axis=1)
+            _scatter(scene, cloud, flat, color=looks.PALE, zorder=1)
+        _draw_coloured(scene, cloud, space.sight(), [0, 1, 2])
+    draw.scale_beside(axes, cloud.norm, cloud.label)
+    entries, look = [Line2D([], [], linestyle="none", label=cloud.lost)] if cloud.lost else [], {"color": looks.BLACK}
+    if doubtful := results_in_words(cloud.codes):
+        look |= {"marker": "o", "markerfacecolor": "white", "linestyle": "none"}
+        entries.insert(0, Line2D([], [], label=f"hollow: doubtful, {doubtful}", **look))
+    if entries:
+        axes.legend(handles=entries, loc="upper left")
 
 
 def _draw_dots(axes: Axes, cloud: Cloud, plane: str) -> None:
-    """The dots in a plane, the nearest on top."""
-    right, up, _ = space.VIEWS[plane]
-    order = np.argsort(cloud.tips @ np.array(space.TOWARDS[plane])[: cloud.tips.shape[1]], kind="stable")
-    _draw_coloured(axes, cloud.tips[order][:, [right, up]], cloud.values[order], cloud.codes[order], cloud)
+    """The dots in a plane."""
+    _draw_coloured(axes, cloud, np.array(space.TOWARDS[plane]), list(space.VIEWS[plane][:2]))
     axes.set(xlabel=f"${plane[0]}$ (mm)", ylabel=f"${plane[1]}$ (mm)")
 
 
-def _draw_coloured(axes: Axes, tips: np.ndarray, values: np.ndarray, codes: np.ndarray, cloud: Cloud) -> None:
-    """Dots, hollow where they are doubtful."""
-    sure, look = codes == Status.successful, {"cmap": draw.TENSION_COLOURS, "norm": cloud.norm, "zorder": 3}
-    _scatter(axes, tips[sure], cloud.size, c=values[sure], **look)
+def _draw_coloured(axes: Axes, cloud: Cloud, sight: np.ndarray, shown: list[int]) -> None:
+    """Dots in some of the three coordinates, the nearest on top, hollow where they are doubtful."""
+    order = np.argsort(cloud.tips @ sight, kind="stable")
+    tips, values, sure = cloud.tips[order][:, shown], cloud.values[order], cloud.codes[order] == Status.successful
+    look: looks.Look = {"cmap": draw.TENSION_COLOURS, "norm": cloud.norm, "zorder": 3}
+    _scatter(axes, cloud, tips[sure], c=values[sure], **look)
     if not np.all(sure):
         edges = draw.TENSION_COLOURS(cloud.norm(values[~sure]))
-        _scatter(axes, tips[~sure], cloud.size, facecolors="white", edgecolors=edges, linewidths=0.6, zorder=3.5)
+        _scatter(axes, cloud, tips[~sure], facecolors="white", edgecolors=edges, linewidths=0.6, zorder=3.5)
 
 
-def _scatter(axes: Axes, points: np.ndarray, size: float, **look: looks.LookValue) -> None:
+def _scatter(axes: Axes, cloud: Cloud, points: np.ndarray, **look: looks.LookValue) -> None:
+    """Some dots of a cloud, which are the smaller the more it has."""
     if points.shape[1] == 3:
         look["depthshade"] = False
-    axes.scatter(*points.T, s=size**2, rasterized=len(points) > 500, **({"linewidths": 0.0} | look))
-
-
-def _legend(where: Axes | Figure, cloud: Cloud) -> None:
-    """A legend for hollow dots and for solves that are not drawn."""
-    entries = []
-    if np.any(cloud.codes != Status.successful):
-        look: looks.Look = {"marker": "o", "markerfacecolor": "white", "color": looks.BLACK, "linestyle": "none"}
-        entries.append(Line2D([], [], label=f"hollow: doubtful, {results_in_words(cloud.codes)}", **look))
-    entries += [Line2D([], [], linestyle="none", label=words) for words in cloud.left_out]
-    if entries:
-        where.legend(handles=entries, loc="upper left")
+    area = np.clip(3600.0 / len(cloud.tips), 0.6, 12.0)
+    axes.scatter(*points.T, s=area, rasterized=len(points) > 500, **({"linewidths": 0.0} | look))

@@ -12,7 +12,7 @@ says which separators, decimal marks and encodings are understood.
 
 Between its points a table is read as straight lines, unless a smooth curve passes all of them at the tolerance, stays
 within the values of neighbouring points and does not turn back between them. `read_cross_sections(path).columns` says
-which profile was taken, `cddf_jax.figures.sections_figure` draws it, and every command that reads the body prints it.
+which profile was taken, and every command that reads the body prints it.
 """
 
 import os

@@ -31,12 +31,9 @@ def solve_report(
         answer["cross_sections"] = {column.name: column.words for column in robot.columns}
 
     def files() -> Files:
-        from ..figures.along import sections_figure
         from ..figures.body import equilibrium_figure
 
         figures = {"solve": equilibrium_figure(robot.manipulator, equilibrium, loads)}
-        if robot.columns:
-            figures["cross_sections"] = sections_figure(robot.columns)
         table = fields_csv(fields_on_grid(equilibrium))
         return {"solve.json": as_json(answer), "fields.csv": table} | rendered(figures)
 
