@@ -1,46 +1,42 @@
 """The answer of `cddf design`: a design, or a trade-off between two objectives."""
 
+from .. import figures
 from ..designing.pareto import ParetoFront
 from ..designing.report import design_as_dict, design_in_words, front_as_dict, front_in_words
 from ..designing.results import Design
 from ..designing.task_file import DesignTask
 from ..files.cross_sections import cross_sections_csv
 from ..files.manipulator_file import manipulator_text
-from ..files.writing import as_json
-from .report import Files, Report, rendered
+from .report import Content, Report
 
 
 def design_report(task: DesignTask, found: Design) -> Report:
     """A design; the files hold the new manipulator only where it keeps to all limits."""
     answer, text = design_as_dict(found), design_in_words(found)
 
-    def files() -> Files:
-        from ..figures.designs import design_figure
-
-        made: Files = {"design.md": text + "\n", "design.json": as_json(answer)}
-        if not found.feasible:
-            return made
-        if found.manipulator.has_radii:
+    def files() -> dict[str, Content]:
+        made: dict[str, Content] = {"design.md": text + "\n"}
+        if found.feasible:
+            made |= {"design.toml": _manipulator_file(task, found), "design": figures.design_figure(found)}
+        if found.feasible and found.manipulator.has_radii:
             made["profile.csv"] = cross_sections_csv(found.manipulator)
-        return made | {"design.toml": _manipulator_file(task, found)} | rendered({"design": design_figure(found)})
+        return made
 
-    return Report(text, answer, files, "" if found.success else _failure(answer))
+    return Report("design", text, answer, files, "" if found.success else _failure(answer))
 
 
 def trade_off_report(task: DesignTask, front: ParetoFront) -> Report:
     """A trade-off; the files hold the manipulators of the points that keep to all limits."""
     answer, text = front_as_dict(front), front_in_words(front)
 
-    def files() -> Files:
-        from ..figures.designs import draw_trade_off
+    def files() -> dict[str, Content]:
         from ..figures.style import figure_of
 
-        made: Files = {"pareto.md": text + "\n", "pareto.json": as_json(answer)}
         feasible = {i: found for i, found in enumerate(front.designs, 1) if found.feasible}
-        made |= {f"design_{i}.toml": _manipulator_file(task, found) for i, found in feasible.items()}
-        return made | rendered({"pareto": figure_of(draw_trade_off(front))})
+        robots = {f"design_{i}.toml": _manipulator_file(task, found) for i, found in feasible.items()}
+        return {"pareto.md": text + "\n", "pareto": figure_of(figures.draw_trade_off(front))} | robots
 
-    return Report(text, answer, files, "" if front.success else _failure(answer))
+    return Report("pareto", text, answer, files, "" if front.success else _failure(answer))
 
 
 def _failure(answer: dict[str, object]) -> str:

@@ -1,19 +1,20 @@
 """A fit as people read it: report.md with its figures, and results.json beside it."""
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from .. import figures
 from ..batch.drafts import check_folder
 from ..errors import InputError
 from ..estimation.bootstrap import Bootstrap
 from ..estimation.determination import NOT_IDENTIFIED, Determination
 from ..estimation.profile_likelihood import Profile
 from ..files.manipulator_file import manipulator_text
-from ..files.writing import as_json, markdown_table, picked
+from ..files.writing import markdown_table, picked
 from ..identification.bench import Bench
 from ..identification.fit import Fit
 from ..identification.parameters import TRIALS, unit_of
@@ -30,7 +31,7 @@ from ..progress import each, stage
 from ..robot.manipulator import Manipulator
 from ..statics.solve import solve
 from ..units import preferred
-from .report import Files, Report, rendered, versions
+from .report import Content, Report, versions
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -51,7 +52,7 @@ OF_DETERMINATION = (
     *("names", "value", "standard_error", "confidence_interval", "status", "combinations", "sums", "correlation"),
     *("rank", "condition_number", "sloppy_direction"),
 )
-OF_MODEL_FREE = ("value", "standard_error", "confidence_interval", "verdict")
+OF_FRICTION = ("value", "standard_error", "confidence_interval", "verdict")
 OF_LOOP = (
     *("gain", "gain_standard_error", "gain_interval", "loss", "loss_standard_error", "zero", "zero_p_value"),
     "verdict",
@@ -62,18 +63,12 @@ OF_BOOTSTRAP = (
 )
 
 
-class ModelFree(NamedTuple):
-    """Friction without a model of the body, and how far that of the fit lies from it."""
+class WithoutModel(NamedTuple):
+    """A result from a table without a model of the body, and the fit beside it."""
 
-    friction: "ModelFreeFriction"
-    away: float | None  # in standard errors; None where the fit has no friction coefficient to compare
-
-
-class LoopCompared(NamedTuple):
-    """The result of a loop of tensions without a model of the body, and the loss of the fit."""
-
-    model_free: "ModelFreeLoop"
-    loss_of_fit: float  # 1/T_tip - 1/T_base of a pull, 1/N
+    found: "ModelFreeFriction | ModelFreeLoop"
+    of_fit: dict[str, object]  # for JSON
+    said: str = ""  # in words
 
 
 class FitResults(NamedTuple):
@@ -82,8 +77,8 @@ class FitResults(NamedTuple):
     fit: Fit
     profiles: dict[str, Profile]  # by fitted parameter; none of a fit that failed
     bootstraps: tuple[Bootstrap, ...]
-    model_free: dict[str, ModelFree]  # by table
-    loops: dict[str, LoopCompared]  # by table with a history
+    model_free: dict[str, WithoutModel]  # friction, by table
+    loops: dict[str, WithoutModel]  # by table with a history
 
 
 def make_report(fit: Fit, *, bootstraps: Sequence[Bootstrap] = (), with_profiles: bool = True) -> FitResults:
@@ -91,58 +86,53 @@ def make_report(fit: Fit, *, bootstraps: Sequence[Bootstrap] = (), with_profiles
     profiles = (
         {name: fit.profile(name) for name in each("profile", own_names(fit))} if fit.success and with_profiles else {}
     )
-    return FitResults(fit, profiles, tuple(bootstraps), _model_free(fit), _loops(fit))
+    body, frictions, loops = fit.manipulator, {}, {}
+    for name, table, in_order in _from_rest(fit):
+        if body.kinematics == "exact" and body.num_tendons == 1 and not body.slanted:
+            frictions |= _friction_without_model(fit, name, table, in_order)
+        if in_order and fit.success and body.tendon_drag is None and not body.slanted and fit.setting.loads is None:
+            loops |= _loop_without_model(fit, name, table)
+    return FitResults(fit, profiles, tuple(bootstraps), frictions, loops)
 
 
-def _model_free(fit: Fit) -> dict[str, ModelFree]:
-    """Model-free friction of every table with tip tension and tip angle, for one tendon parallel to the axis."""
-    body = fit.manipulator
-    if body.kinematics != "exact" or body.num_tendons != 1 or body.slanted:
-        return {}
+def _from_rest(fit: Fit) -> Iterator[tuple[str, Measurements, bool]]:
+    """The tables whose trials begin at rest, and whether their rows were followed in their order."""
+    for name, table, one in zip(fit.model.names, fit.tables, fit.model.experiments, strict=True):
+        bench = one if isinstance(one, Bench) else None
+        if bench is None or bench.course is None or bench.course.past is None:
+            yield name, table, bench is not None and bool(bench.in_order)
+
+
+def _friction_without_model(fit: Fit, name: str, table: Measurements, in_order: bool) -> dict[str, WithoutModel]:
+    """Model-free friction of a table with tip tension and tip angle, for one tendon parallel to the axis."""
     from ..identification.model_free import COLUMNS, model_free_friction
 
-    found, mu, in_order = {}, "friction_coefficient", _in_order(fit)
-    for name, table in _from_rest(fit, COLUMNS):
-        if len(table) >= LEAST_ROWS:
-            with suppress(InputError):  # no row is bent
-                friction = model_free_friction(table, in_order=in_order[name])
-                away = None
-                if mu in fit.names and np.isfinite(fit.standard_error[mu]):
-                    error = float(np.hypot(friction.standard_error, fit.standard_error[mu]))
-                    away = (fit.value[mu] - friction.value) / error if error > 0 else None
-                found[name] = ModelFree(friction, away)
-    return found
-
-
-def _in_order(fit: Fit) -> dict[str, bool]:
-    """By table, whether its rows were followed in their order."""
-    named = zip(fit.model.names, fit.model.experiments, strict=True)
-    return {name: isinstance(one, Bench) and bool(one.in_order) for name, one in named}
-
-
-def _from_rest(fit: Fit, columns: Collection[str]) -> Iterator[tuple[str, Measurements]]:
-    """The tables that have these columns, and whose trials begin at rest if their rows have a history."""
-    named = zip(fit.model.names, fit.model.experiments, strict=True)
-    rest = {name for name, one in named if not isinstance(one, Bench) or one.course is None or one.course.past is None}
-    for name, table in zip(fit.model.names, fit.tables, strict=True):
-        if name in rest and all(column in table for column in columns):
-            yield name, table
-
-
-def _loops(fit: Fit) -> dict[str, LoopCompared]:
-    """The loops in tables with a history and tip tensions, of a tendon parallel to the axis without drag or loads."""
-    body = fit.manipulator
-    if not fit.success or body.tendon_drag is not None or body.slanted or fit.setting.loads is not None:
+    if len(table) < LEAST_ROWS or not all(column in table for column in COLUMNS):
         return {}
-    from ..identification.model_free import model_free_loop
+    mu, away, said = "friction_coefficient", None, ""
+    with suppress(InputError):  # no row is bent
+        found = model_free_friction(table, in_order=in_order)
+        if mu in fit.names and np.isfinite(fit.standard_error[mu]):
+            error = float(np.hypot(found.standard_error, fit.standard_error[mu]))
+            away = (fit.value[mu] - found.value) / error if error > 0 else None
+        if away is not None:
+            check = "; check kinematics, the offset of the tendon, and the zeros of the cells and the camera"
+            said = f"the fit lies {abs(away):.1f} standard errors from it" + check * (abs(away) > LARGEST_AWAY)
+        return {name: WithoutModel(found, {"standard_errors_away": away, "unit": "1"}, said)}
+    return {}
 
-    found = {}
-    for name, table in _from_rest(fit, ("base_tension", "tip_tension")):
-        if _in_order(fit)[name]:
-            with suppress(InputError):  # not released far enough
-                loop, tension = model_free_loop(table), float(table["base_tension"].max())
-                found[name] = LoopCompared(loop, float(1 / solve(body, tension).tip_tension[0]) - 1 / tension)
-    return found
+
+def _loop_without_model(fit: Fit, name: str, table: Measurements) -> dict[str, WithoutModel]:
+    """Gain and loss of a loop of tensions, of a tendon parallel to the axis without drag or loads."""
+    from ..identification.model_free import OF_LOOP as COLUMNS, model_free_loop
+
+    if all(column in table for column in COLUMNS):
+        with suppress(InputError):  # not released far enough
+            found, tension = model_free_loop(table), float(table["base_tension"].max())
+            loss = float(1 / solve(fit.manipulator, tension).tip_tension[0]) - 1 / tension
+            of_fit: dict[str, object] = {"loss_of_fit": loss, "unit_of_loss": "1/N"}
+            return {name: WithoutModel(found, of_fit, f"the fit has {loss:.4g} 1/N")}
+    return {}
 
 
 # --- results.json --------------------------------------------------------------------------------
@@ -160,20 +150,18 @@ def fit_as_dict(results: FitResults) -> dict[str, object]:
         "cost_from_each_start": fit.starts,
         "profiles": results.profiles,
         "bootstraps": [picked(bootstrap, OF_BOOTSTRAP) for bootstrap in results.bootstraps],
-        "model_free_friction": {
-            name: {"unit": "1"} | picked(found.friction, OF_MODEL_FREE) | {"standard_errors_away": found.away}
-            for name, found in results.model_free.items()
-        },
-        "model_free_loop": {
-            name: picked(found.model_free, OF_LOOP) | {"loss_of_fit": found.loss_of_fit, "unit_of_loss": "1/N"}
-            for name, found in results.loops.items()
-        },
+        "model_free_friction": _without_model(results.model_free, OF_FRICTION),
+        "model_free_loop": _without_model(results.loops, OF_LOOP),
         "data": [_table_as_dict(table) for table in fit.tables],
         "manipulator": _as_toml(fit.model.manipulator),
         "kinematics": fit.manipulator.kinematics,
         "options": fit.options,
         "versions": versions(),
     }
+
+
+def _without_model(results: Mapping[str, WithoutModel], names: Sequence[str]) -> dict[str, dict[str, object]]:
+    return {table: picked(one.found, names) | one.of_fit for table, one in results.items()}
 
 
 def _table_as_dict(table: Measurements) -> dict[str, object]:
@@ -215,28 +203,26 @@ def write_fit(fit: Fit, folder: str | Path, *, bootstraps: Sequence[Bootstrap] =
 
 def fit_report(results: FitResults) -> Report:
     """The answer of `cddf fit`."""
-    answer, fit = fit_as_dict(results), results.fit
+    fit = results.fit
 
-    def files() -> Files:
-        figures = report_figures(results)
-        texts = {"report.md": fit_as_markdown(results, tuple(figures)), "results.json": as_json(answer)}
-        return texts | rendered(figures)
+    def files() -> dict[str, Content]:
+        drawn = report_figures(results)
+        return {"report.md": fit_as_markdown(results, tuple(drawn)), **drawn}
 
-    return Report(fit_in_words(results), answer, files, "" if fit.success else f"the fit failed: {fit.result}")
+    failure = "" if fit.success else f"the fit failed: {fit.result}"
+    return Report("results", fit_in_words(results), fit_as_dict(results), files, failure)
 
 
 @stage("drawing")
 def report_figures(results: FitResults) -> "dict[str, Figure]":
     """The figures by file name; `left_out` says why others are missing."""
-    from ..figures.fit import profiles_figure, residuals_figure, table_figures
-
     fit, missing = results.fit, left_out(results)
-    figures = table_figures(fit)
+    drawn = figures.table_figures(fit)
     if "residuals" not in missing:
-        figures["residuals"] = residuals_figure(fit)
+        drawn["residuals"] = figures.residuals_figure(fit)
     if "profiles" not in missing:
-        figures["profiles"] = profiles_figure(fit, results.profiles)
-    return figures
+        drawn["profiles"] = figures.profiles_figure(fit, results.profiles)
+    return drawn
 
 
 def left_out(results: FitResults) -> dict[str, str]:
@@ -265,29 +251,31 @@ def fit_in_words(results: FitResults) -> str:
     return "\n".join(lines + [f"warning: {warning}" for warning in fit.warnings])
 
 
-def fit_as_markdown(results: FitResults, figures: Sequence[str] | None = None) -> str:
+def fit_as_markdown(results: FitResults, drawn: Sequence[str] | None = None) -> str:
     """The report: first in words what was determined and what was not, then the numbers.
 
-    `figures` are the names of the figures beside it; None if no figures are made.
+    `drawn` are the names of the figures beside it; None if no figures are made.
     """
     fit = results.fit
     later = [warning for warning in fit.warnings if warning not in fit.remarks]  # remarks are in the first lines
+    also = [(title[0].upper() + title[1:], _bullets(entries)) for title, entries in _also_said(results).items()]
     sections = [
-        _in_short(results),
-        _goodness(fit),
-        _correlation_section(fit),
-        _profile_section(results),
-        *(_bullets(title[0].upper() + title[1:], entries) for title, entries in _also_said(results).items()),
-        _trial_section(fit),
-        _noise_section(fit),
-        _bullets("Without a model of the body", _model_free_in_words(results)),
-        _bullets("Warnings", later),
-        _bullets("What was stated about the bench", _stated(fit)),
-        _figure_section(results, figures),
-        _bullets("How the files were read", [line for table in fit.tables for line in table.read_as]),
+        ("Correlation", _correlation(fit)),
+        ("Profiles", _profiles(results)),
+        *also,
+        ("Trials", _trials(fit)),
+        ("Noise", _noise(fit)),
+        ("Without a model of the body", _bullets(_model_free_in_words(results))),
+        ("Warnings", _bullets(later)),
+        ("What was stated about the bench", _bullets(_stated(fit))),
+        ("Figures", [] if drawn is None else _figures(results, drawn)),
+        ("How the files were read", _bullets(line for table in fit.tables for line in table.read_as)),
     ]
+    lines = [*_in_short(results), "", *_goodness(fit), ""]
+    for title, own in sections:
+        lines += [f"## {title}", "", *own, ""] if own else []
     foot = "results.json holds what is needed to repeat this fit: manipulator, options, checksums, versions.\n"
-    return "\n\n".join("\n".join(section) for section in sections if section) + f"\n\n{foot}"
+    return "\n".join([*lines, foot])
 
 
 def _also_said(results: FitResults) -> dict[str, list[str]]:
@@ -316,13 +304,8 @@ def _also_said(results: FitResults) -> dict[str, list[str]]:
     return said
 
 
-def _section(title: str, lines: Sequence[str]) -> list[str]:
-    """A section with its title; none where there is nothing to say."""
-    return [f"## {title}", "", *lines] if lines else []
-
-
-def _bullets(title: str, lines: Sequence[str]) -> list[str]:
-    return _section(title, [f"- {line}" for line in lines])
+def _bullets(lines: Iterable[str]) -> list[str]:
+    return [f"- {line}" for line in lines]
 
 
 def _in_short(results: FitResults) -> list[str]:
@@ -373,24 +356,21 @@ def short_steps_in_words(fit: Fit) -> str:
     return f"The increments of the history move the estimates by at most {most:.2g} of their standard errors."
 
 
-def _correlation_section(fit: Fit) -> list[str]:
+def _correlation(fit: Fit) -> list[str]:
     names = correlated_names(fit)
     places = [fit.names.index(name) for name in names]
     rows = [[name, *(f"{fit.correlation[i, k]:.4f}" for k in places)] for name, i in zip(names, places, strict=True)]
-    return _section("Correlation", markdown_table(("parameter", *names), rows) if len(names) > 1 else [])
+    return markdown_table(("parameter", *names), rows) if len(names) > 1 else []
 
 
-def _profile_section(results: FitResults) -> list[str]:
-    if not results.profiles:
-        return []
+def _profiles(results: FitResults) -> list[str]:
     rows = []
     for name, profile in results.profiles.items():
         scale, unit = shown_unit(name)
         ends = zip(profile.confidence_interval, profile.closed, profile.model_ends, strict=True)
         rows.append([name, *(_end_in_words(scale * end, unit, closed, gone) for end, closed, gone in ends)])
     text = "95 % intervals without assuming linearity: a parameter is held at one value after another, the others are "
-    text += "fitted again."
-    return _section("Profiles", [text, "", *markdown_table(("parameter", "from", "to"), rows)])
+    return [f"{text}fitted again.", "", *markdown_table(("parameter", "from", "to"), rows)] if rows else []
 
 
 def _end_in_words(end: float, unit: str, closed: bool, model_ends: bool) -> str:
@@ -409,17 +389,15 @@ def determination_in_words(determination: Determination) -> str:
     return "; ".join(parts)
 
 
-def _trial_section(fit: Fit) -> list[str]:
+def _trials(fit: Fit) -> list[str]:
     effects = fit.trial_effects.items()
     rows = [[name, f"{100 * e.value:+.2f} %", f"{100 * e.standard_error:.2g} %"] for name, e in effects]
-    text = (
-        f"Friction of each trial relative to the mean; standard deviation over trials {100 * fit.trial_spread:.2g} %."
-    )
+    spread = f"standard deviation over trials {100 * fit.trial_spread:.2g} %."
     table = markdown_table(("trial", "friction", "standard error"), rows)
-    return _section("Trials", [text, "", *table] if rows else [])
+    return [f"Friction of each trial relative to the mean; {spread}", "", *table] if rows else []
 
 
-def _noise_section(fit: Fit) -> list[str]:
+def _noise(fit: Fit) -> list[str]:
     head = ("data", "standard deviation", "made of", "correlation from row to row of a hold", "count as independent")
     rows = []
     for label, deviation in fit.noise.items():
@@ -430,42 +408,26 @@ def _noise_section(fit: Fit) -> list[str]:
             made_of = f"{scale * floor:.3g} {unit} and {100 * fraction:.3g} % of the value"
         independent = f"{alike.num_effective:.0f} of {alike.num_readings}"
         size = f"{scale * deviation:.3g} {unit}"
-        rows.append([label, size, made_of, _or_dash(alike.lag_one, ".2f"), independent])
+        rows.append([label, size, made_of, f"{alike.lag_one:.2f}".replace("nan", "-"), independent])
     for label, deviation in fit.input_noise.items():
         kind = "estimated" if label in fit.evidence.estimated_inputs else "as given" if deviation else "none is seen"
         scale, unit = preferred(column_dimension(label.rpartition(": ")[2]) or "dimensionless")
         rows.append([label, f"{scale * deviation:.3g} {unit}", kind, "-", "-"])
     kind = "estimated from the residuals" if fit.noise_estimated else "as given"
     text = f"Noise {kind}; {fit.degrees_of_freedom} degrees of freedom; rank {fit.rank}; {fit.result}."
-    return _section("Noise", [*markdown_table(head, rows), "", text])
-
-
-def _or_dash(value: float, form: str) -> str:
-    return format(value, form) if np.isfinite(value) else "-"
+    return [*markdown_table(head, rows), "", text]
 
 
 def _model_free_in_words(results: FitResults) -> list[str]:
-    lines = []
-    for name, (friction, away) in results.model_free.items():
-        lines += [f"{name}: {line}" for line in friction.verdict]
-        if away is not None:
-            check = "; check kinematics, the offset of the tendon, and the zeros of the cells and the camera"
-            told = f"{name}: the fit lies {abs(away):.1f} standard errors from it"
-            lines.append(told + check * (abs(away) > LARGEST_AWAY))
-    for name, (loop, loss) in results.loops.items():
-        lines += [f"{name}: {line}" for line in loop.verdict]
-        lines.append(f"{name}: the fit has {loss:.4g} 1/N")
-    return lines
+    every = [*results.model_free.items(), *results.loops.items()]
+    return [f"{name}: {line}" for name, one in every for line in (*one.found.verdict, one.said) if line]
 
 
-def _figure_section(results: FitResults, figures: Sequence[str] | None) -> list[str]:
+def _figures(results: FitResults, drawn: Sequence[str]) -> list[str]:
     """The figures, and why others are missing."""
-    if figures is None:
-        return []
-    pictures = [f"![{name.replace('_', ' ')}]({name}.png)" for name in figures]
+    pictures = [f"![{name.replace('_', ' ')}]({name}.png)" for name in drawn]
     missing = [f"- No figure of {name.replace('_', ' ')}: {reason}." for name, reason in left_out(results).items()]
-    between = [""] if pictures and missing else []
-    return ["## Figures", "", *pictures, *between, *missing]
+    return [*pictures, *([""] if pictures and missing else []), *missing]
 
 
 def _stated(fit: Fit) -> list[str]:

@@ -1,7 +1,7 @@
 """The answer of `cddf plan`."""
 
 from ..estimation.determination import NOT_IDENTIFIED, Determination
-from ..files.writing import as_json, markdown_table, picked
+from ..files.writing import markdown_table, picked
 from ..identification.experiment_design import Plan, Ranked
 from ..identification.parameters import unit_of
 from ..identification.verdict import error_in_words
@@ -11,7 +11,7 @@ from .report import Report
 def plan_report(plan: Plan) -> Report:
     """What to measure next."""
     text, answer = plan_as_markdown(plan), plan_as_dict(plan)
-    return Report(text, answer, lambda: {"plan.md": text, "plan.json": as_json(answer)})
+    return Report("plan", text, answer, lambda: {"plan.md": text})
 
 
 def plan_as_markdown(plan: Plan) -> str:

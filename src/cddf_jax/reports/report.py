@@ -6,43 +6,41 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
-from ..files.writing import write_all
+from .. import figures
+from ..files.writing import as_json, write_all
 from ..progress import each
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Files: TypeAlias = dict[str, str | bytes]  # content by name
+Content: TypeAlias = "str | Figure"
 
 
 class Report(NamedTuple):
     """The answer of a command.
 
     Attributes:
+        name: of the file with the answer, without .json.
         text: for people.
         answer: for JSON, in SI units.
-        files: makes what is written to a folder; it is called only then, since drawing takes long.
+        files: makes what else is written to a folder, by name: text, or a figure, which becomes a PDF and a PNG. It is
+            called only then, since drawing takes long.
         failure: why the work failed, in one line; empty where it succeeded.
     """
 
+    name: str
     text: str
     answer: dict[str, object]
-    files: Callable[[], Files]
+    files: Callable[[], Mapping[str, Content]]
     failure: str = ""
 
     def write(self, folder: str | Path) -> None:
         """Write all files, or none."""
-        write_all(folder, self.files())
-
-
-def rendered(figures: "Mapping[str, Figure]") -> Files:
-    """Figures as PDF and PNG, by the name of each without its suffix."""
-    from ..figures.style import render
-
-    files: Files = {}
-    for name in each("figure", list(figures)):
-        files |= render(figures[name], name)
-    return files
+        made, files = self.files(), {f"{self.name}.json": as_json(self.answer)}
+        for name in each("file", list(made)):
+            what = made[name]
+            files |= {name: what} if isinstance(what, str) else figures.render(what, name)
+        write_all(folder, files)
 
 
 def versions(*more: str) -> dict[str, str]:

@@ -1,12 +1,11 @@
 """The figures and numbers of Liu et al. (2020), section IV, computed here, beside those that the paper prints."""
 
 import itertools
+from functools import partial
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Float
 from matplotlib.figure import Figure
 
 from ..errors import InputError
@@ -14,15 +13,16 @@ from ..figures import looks, style as draw
 from ..figures.along import draw_along
 from ..figures.body import draw_force_arrows
 from ..figures.fit import by_level, draw_about_zero, draw_levels
-from ..files.writing import as_json, markdown_table
+from ..files.writing import markdown_table
 from ..measurements.table import Measurements
+from ..numerics.arrays import evaluated
 from ..progress import stage
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import Equilibrium
 from ..statics.literal_iteration import IterationHistory, iteration_history
 from ..statics.solve import solve
 from ..statics.status import Status
-from .report import Files, Report, rendered
+from .report import Report
 
 PULL = 75.0  # N, the base tension of Fig. 4, 5 and 6
 LIGHT_PULL = 10.0  # N, the other one of Fig. 6
@@ -82,35 +82,24 @@ def reproduce(manipulator: Manipulator, load_cells: Measurements) -> Report:
     lines = markdown_table(("quantity", *numbers, "note"), [row.cells() for row in rows], right=numbers)
     text = "\n".join(["# Liu et al. (2020), section IV, reproduced", "", *lines]) + "\n"
     answer: dict[str, object] = {"table": [row._asdict() | {"difference": row.difference} for row in rows]}
-    texts: Files = {"reproduction.md": text, "reproduction.json": as_json(answer)}
-    return Report(text, answer, lambda: rendered(figures) | texts)
+    return Report("reproduction", text, answer, lambda: {"reproduction.md": text, **figures})
 
 
 @stage("solving")
 def computed(manipulator: Manipulator, load_cells: Measurements) -> PaperResults:
     """All solves, for a manipulator and trials as in `reproduce`."""
     base, observed = load_cells["base_tension"][load_cells.has("tip_tension")], load_cells.read("tip_tension")
-    pulls = np.concatenate([PULLS, base])
-    equilibria = jax.tree.map(np.asarray, _pull(manipulator, pulls))
+    pulls, pull = np.concatenate([PULLS, base]), partial(solve, throw=False)
+    equilibria = evaluated(jax.vmap(pull, (None, 0)), manipulator, pulls)
     good = equilibria.status == Status.successful
     if not np.all(good):
         solve(manipulator, pulls[np.argmin(good)])  # raises and says why
     curve = jax.tree.map(lambda x: x[: len(PULLS)], equilibria)
-    predicted = np.asarray(equilibria.tip_tension)[len(PULLS) :, 0]
-    history = jax.tree.map(np.asarray, _histories(manipulator, HISTORY_PULLS))
+    predicted = equilibria.tip_tension[len(PULLS) :, 0]
+    iterate = partial(iteration_history, max_updates=HISTORY_UPDATES, nodes=64)
+    history = evaluated(jax.vmap(iterate, (None, 0)), manipulator, HISTORY_PULLS)
     trials = "simulated trials" if load_cells.simulated else "trials"
     return PaperResults(manipulator, curve, history, trials, base, observed, predicted)
-
-
-@eqx.filter_jit
-def _pull(manipulator: Manipulator, base_tension: Float[np.ndarray, " pulls"]) -> Equilibrium:
-    return jax.vmap(lambda pull: solve(manipulator, pull, throw=False))(base_tension)
-
-
-@eqx.filter_jit
-def _histories(manipulator: Manipulator, base_tension: Float[np.ndarray, " pulls"]) -> IterationHistory:
-    options = {"max_updates": HISTORY_UPDATES, "nodes": 64}
-    return jax.vmap(lambda pull: iteration_history(manipulator, pull, **options))(base_tension)
 
 
 # --- figures -------------------------------------------------------------------------------------

@@ -5,8 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import ArrayLike
 
+from .. import figures
 from ..files.manipulator_file import RobotFile
-from ..files.writing import as_json, picked
+from ..files.writing import picked
 from ..quantities import dimension_of
 from ..robot.loads import Loads, loads_as_dict, point_in_words
 from ..statics.contact import self_contact
@@ -17,7 +18,7 @@ from ..statics.targets import CurvatureAt, Target, TipPosition
 from ..sweeping.one_solve import OUTPUTS_OF
 from ..units import shown
 from .export import fields_csv, fields_on_grid
-from .report import Files, Report, rendered
+from .report import Content, Report
 
 Entries = Sequence[float | Target] | TipPosition  # the tension (N) or target of each tendon, or the place of the tip
 
@@ -30,15 +31,12 @@ def solve_report(
     if robot.columns:
         answer["cross_sections"] = {column.name: column.words for column in robot.columns}
 
-    def files() -> Files:
-        from ..figures.body import equilibrium_figure
-
-        figures = {"solve": equilibrium_figure(robot.manipulator, equilibrium, loads)}
-        table = fields_csv(fields_on_grid(equilibrium))
-        return {"solve.json": as_json(answer), "fields.csv": table} | rendered(figures)
+    def files() -> dict[str, Content]:
+        figure = figures.equilibrium_figure(robot.manipulator, equilibrium, loads)
+        return {"fields.csv": fields_csv(fields_on_grid(equilibrium)), "solve": figure}
 
     failure = words_of(equilibrium.status) if equilibrium.status == Status.unstable else ""
-    return Report(solve_in_words(equilibrium, actuation, texts, loads), answer, files, failure)
+    return Report("solve", solve_in_words(equilibrium, actuation, texts, loads), answer, files, failure)
 
 
 def solve_as_dict(equilibrium: Equilibrium, actuation: Entries, loads: Loads | None) -> dict[str, object]:

@@ -6,9 +6,9 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from .. import figures
 from ..errors import SolveError
 from ..files.csv_table import table_csv
-from ..files.writing import as_json
 from ..history.history import GOOD, STEPS, History, last_line, steps_in_words
 from ..history.stepped import ACCURACY, SteppedStates
 from ..history.trace import trace
@@ -20,7 +20,7 @@ from ..statics.status import Status, words_of
 from ..statics.targets import Displacement, TipAngle
 from ..units import Dimension, shown
 from .export import POINTS, field_columns, history_columns, history_numbers
-from .report import Files, Report, rendered
+from .report import Content, Report
 
 FINE = 256  # steps, at least, so that loops are smooth, and one program serves most paths
 FINE_IN_STEPS = 64  # the same in space, and with several tendons or loads
@@ -115,15 +115,12 @@ def trace_report(found: TracedPath) -> Report:
     """What slid in each step of a path, the states after the steps, and where the work went."""
     answer = trace_as_dict(found)
 
-    def files() -> Files:
-        from ..figures.history import history_figure
-
+    def files() -> dict[str, Content]:
         moved = np.ptp(found.states["base_tension"].reshape(len(found.steps), -1), axis=0)  # by each tendon
-        figure = history_figure(found.manipulator, found.history, found.steps, tendon=int(np.argmax(moved)))
-        tables = {"loop.csv": loop_csv(found), "fields.csv": fields_csv_of_steps(found)}
-        return {"trace.json": as_json(answer)} | tables | rendered({"trace": figure})
+        figure = figures.history_figure(found.manipulator, found.history, found.steps, tendon=int(np.argmax(moved)))
+        return {"loop.csv": loop_csv(found), "fields.csv": fields_csv_of_steps(found), "trace": figure}
 
-    return Report(trace_in_words(found), answer, files)
+    return Report("trace", trace_in_words(found), answer, files)
 
 
 def trace_as_dict(found: TracedPath) -> dict[str, object]:
