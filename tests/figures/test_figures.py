@@ -236,10 +236,9 @@ def test_a_map_either_way_round(grid):
     axes = figures.draw_map(grid.sel(tendon=0), "tip_tension", *names, Figure().subplots())
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("Friction coefficient", "Base tension (N)")
     lines = [artist for artist in axes.collections if isinstance(artist, QuadContourSet)][1]
-    # 100 (i + k) = level, at the place k = 1 of friction coefficients; base tensions are 10 (i + 1)
-    level = lines.levels[3]
-    distances = lines.find_nearest_contour(0.4, 0.1 * level, indices=[3], pixel=False)
-    assert distances[-1] == pytest.approx(0.0, abs=1e-12)
+    # 100 (i + k) = level; friction coefficients are 0.2 (k + 1), base tensions 10 (i + 1)
+    friction, tension = lines.get_paths()[3].vertices.T
+    np.testing.assert_allclose(friction / 0.2 + tension / 10.0 - 2.0, lines.levels[3] / 100.0, atol=1e-12)
     assert [text.get_text() for text in axes.get_legend().get_texts()] == ["hatched: locked"]
 
 

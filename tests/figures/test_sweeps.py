@@ -123,11 +123,9 @@ def test_contours_and_where_there_are_none():
     assert filled.levels[0] <= 0.0
     assert filled.levels[-1] >= 100.0 * (3 + 6)  # of what is successful
     # 100 (i + k) = 300 is a straight line in the places
-    level = 300.0
-    for i in np.linspace(0.0, 3.0, 4):
-        inside = (10.0 + 10.0 * i, 1.2 + 0.4 / 6 * (level / 100 - i))
-        distances = lines.find_nearest_contour(*inside, indices=[list(lines.levels).index(level)], pixel=False)
-        assert distances[-1] == pytest.approx(0.0, abs=1e-12)
+    x, y = lines.get_paths()[list(lines.levels).index(300.0)].vertices.T
+    np.testing.assert_allclose((x - 10.0) / 10.0 + (y - 1.2) / (0.4 / 6), 3.0, atol=1e-12)
+    assert (x.min(), x.max()) == pytest.approx((10.0, 40.0))
     reached = np.concatenate([path.vertices for path in filled.get_paths() if len(path.vertices)])
     assert reached[:, 0].max() == pytest.approx(40.0)  # nothing drawn where solves are doubtful
     assert all(hatched(axes) for axes in (tension, angle))

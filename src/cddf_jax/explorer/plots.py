@@ -7,9 +7,8 @@ import numpy as np
 from bokeh.core.properties import value
 from bokeh.models import Arrow, ColumnDataSource, HoverTool, LinearAxis, NormalHead, VeeHead
 from bokeh.plotting import figure
-from jaxtyping import ArrayLike
 
-from ..figures.geometry import Body, drawn, lines_along, straight_body, tendon_paths
+from ..figures.geometry import Body, drawn, lines_along, straight_body
 from ..figures.looks import BLACK, BLUE, CURVES, GREEN, GREY, PALE, PURPLE, VERMILION
 from ..measurements.readings import kind_of, of_tendons, tendon_number
 from ..measurements.table import Measurements
@@ -77,10 +76,15 @@ class BodyPlot:
     def __init__(self, manipulator: Manipulator, arc_length: np.ndarray):
         self.figure = bare_figure("X (mm)", "Y (mm)", match_aspect=True, height=450, name="body")
         self.figure.title.text_font_style, self.figure.title.text_font_size = "normal", "13px"
-        self.sources = {name: ColumnDataSource() for name in ("walls", "midline", "past", "tendons", "ends", "moment")}
-        straight = straight_body(manipulator, arc_length)
-        self._show_body(straight, _tendons(manipulator, straight, arc_length))
-        self._draw_surroundings(manipulator, straight)
+        points = {name: ColumnDataSource(_xy(NONE)) for name in ("midline", "past", "ends", "moment")}
+        looks = [tendon_look(i) for i in range(manipulator.num_tendons)]
+        self.style: Columns = {
+            "color": [look["line_color"] for look in looks],
+            "dash": [look["line_dash"] for look in looks],
+        }
+        tendons = ColumnDataSource(_lines([NONE] * len(looks)) | self.style)
+        self.sources = {"walls": ColumnDataSource(_lines([])), "tendons": tendons, **points}
+        self._draw_surroundings(manipulator, straight_body(manipulator, arc_length))
         self._draw_body()
         self._draw_forces()
         look_of_legend(self.figure)
@@ -101,7 +105,6 @@ class BodyPlot:
         fig, source = self.figure, self.sources
         fig.patches("xs", "ys", source=source["walls"], fill_color=PALE, line_color=GREY)
         fig.line("x", "y", source=source["midline"], color=GREY, line_dash="dashdot")
-        source["past"].data = _xy(NONE)
         past: Look = {"line_color": PURPLE, "line_dash": [6, 3], "line_width": 2, "legend_label": "with its past"}
         fig.line("x", "y", source=source["past"], name="past", **past)
         look = {"line_color": "color", "line_dash": "dash", "line_width": 1.5, "legend_label": "tendon"}
@@ -114,7 +117,6 @@ class BodyPlot:
             self.figure.line([np.nan], [np.nan], color=color, line_width=2, legend_label=f"{name} force per length")
         for name in ("force", "turn"):
             self._arrows(name, VeeHead(size=12, fill_color=PURPLE, line_color=PURPLE), 3)
-        self.sources["moment"].data = _xy(NONE)
         self.figure.line("x", "y", source=self.sources["moment"], color=PURPLE, line_width=3)
 
     def _arrows(self, name: str, head: NormalHead | VeeHead, width: float) -> None:
@@ -124,21 +126,25 @@ class BodyPlot:
 
     def show(self, picture: Picture) -> None:
         """Draw an equilibrium."""
-        along, manipulator = in_the_plane(picture.along, "BodyPlot"), picture.case.manipulator
-        what = drawn(manipulator, along, picture.case.loads)
-        tendons = _tendons(manipulator, what.body, along.arc_length)
-        self._show_body(what.body, tendons)
-        forces = np.concatenate([along.normal_force, along.friction_force])
-        greatest = float(np.max(np.linalg.norm(forces, axis=-1)))  # N/m
+        along, sources = in_the_plane(picture.along, "BodyPlot"), self.sources
+        what = drawn(picture.case.manipulator, along, picture.case.loads)
+        sources["walls"].data = _lines(what.body.walls)
+        sources["midline"].data = _xy(what.body.midline)
+        sources["tendons"].data = self.style | _lines(what.tendons)
+        sources["ends"].data = _xy(what.anchors)
+        greatest = float(np.max(np.linalg.norm([along.normal_force, along.friction_force], axis=-1)))  # N/m
+        size, points = LONGEST_ARROW * what.length / max(greatest, 1e-12), what.tendons.shape[1]
+        at = np.linspace(0.02 * points, 0.98 * points - 1, NUM_ARROWS).astype(int)
+        starts = what.tendons[:, at, :2]
+        there = np.isfinite(starts[..., 0])
         for name, force in (("normal", along.normal_force), ("friction", along.friction_force)):
-            arrows = _force_arrows(tendons, force, LONGEST_ARROW * what.length / max(greatest, 1e-12))
-            self.sources[name].data = _arrow_data(*arrows)
+            sources[name].data = _arrow_data(starts[there], (starts + size * np.asarray(force)[:, at])[there])
         self.figure.title.text = f"longest arrow {greatest:.4g} N/m"
         # the sliders load the tip only: there is one arrow of each or none
         force, turn = (next(iter(arrows), NONE)[:, :2] for arrows in (what.force_arrows, what.moment_arrows))
-        self.sources["force"].data = _arrow_data(force[:1], force[-1:])
-        self.sources["moment"].data = _xy(turn)
-        self.sources["turn"].data = _arrow_data(turn[-2:-1], turn[-1:])
+        sources["force"].data = _arrow_data(force[:1], force[-1:])
+        sources["moment"].data = _xy(turn)
+        sources["turn"].data = _arrow_data(turn[-2:-1], turn[-1:])
 
     def show_points(self, kind: str, tables: Sequence[TableColumns]) -> None:
         """Measured positions are drawn in space only."""
@@ -149,40 +155,17 @@ class BodyPlot:
             self.sources["past"].data = _xy(1e3 * loop.position)
         show_named(self.figure, "past", loop is not None)
 
-    def _show_body(self, body: Body, tendons: list[np.ndarray]) -> None:
-        looks = [tendon_look(i) for i in range(len(tendons))]
-        style: Columns = {
-            "color": [look["line_color"] for look in looks],
-            "dash": [look["line_dash"] for look in looks],
-        }
-        self.sources["walls"].data = _lines(body.walls)
-        self.sources["midline"].data = _xy(body.midline)
-        self.sources["tendons"].data = _lines(tendons) | style
-        self.sources["ends"].data = _xy(np.stack([line[-1] for line in tendons]))
-
 
 def _xy(points: np.ndarray) -> Columns:
     return {"x": points[:, 0], "y": points[:, 1]}
 
 
-def _lines(lines: Sequence[np.ndarray]) -> Columns:
+def _lines(lines: Sequence[np.ndarray] | np.ndarray) -> Columns:
     return {"xs": [line[:, 0] for line in lines], "ys": [line[:, 1] for line in lines]}
 
 
 def _arrow_data(starts: np.ndarray, ends: np.ndarray) -> Columns:
     return dict(zip(ARROW, (*starts.T, *ends.T), strict=True))
-
-
-def _tendons(manipulator: Manipulator, body: Body, arc_length: ArrayLike) -> list[np.ndarray]:
-    """The line of each tendon in the plane up to its anchor."""
-    return [line[np.isfinite(line[:, 0]), :2] for line in tendon_paths(manipulator, body, np.asarray(arc_length))]
-
-
-def _force_arrows(tendons: list[np.ndarray], forces: ArrayLike, scale: float) -> tuple[np.ndarray, np.ndarray]:
-    """Starts and ends of arrows along the tendons."""
-    at = [np.linspace(0.02 * len(line), 0.98 * len(line) - 1, NUM_ARROWS).astype(int) for line in tendons]
-    starts = np.concatenate([line[i] for line, i in zip(tendons, at, strict=True)])
-    return starts, starts + scale * np.concatenate([force[i] for force, i in zip(np.asarray(forces), at, strict=True)])
 
 
 def show_named(fig: Plot, name: str, there: bool) -> None:

@@ -1,11 +1,12 @@
 """Figures of a design: the body before and after, to scale; and the trade-off between two objectives."""
 
 import re
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, cast
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 
 from ..designing.pareto import ParetoFront
 from ..designing.results import Design
@@ -32,7 +33,7 @@ def design_figure(design: Design) -> Figure:
     shown = ("angle", "offset", "bending", "twist") if in_space else ("curvature", "strain")[: 1 + has_wall]
     with draw.house_style():
         figure = draw.new_figure(draw.DOUBLE_COLUMN, HEIGHT)
-        left, right = figure.subfigures(1, 2, width_ratios=(1.45, 1))
+        left, right = cast(Sequence[SubFigure], figure.subfigures(1, 2, width_ratios=(1.45, 1)))
         draw_design(design, left.add_subplot(projection="3d" if in_space else None))
         columns = 2 if in_space else 1
         panels = right.subplots(len(shown) // columns, columns, sharex=True, squeeze=False).ravel()

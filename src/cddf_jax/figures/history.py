@@ -113,7 +113,8 @@ def draw_history_along(
     """
     steps, s = _steps(history, steps, tendon), stations(manipulator)
     fields, tension = evaluated(History.at, history, s), _of_tendon(history.base_tension, tendon)
-    lines = {}
+    fronts, lines = _of_tendon(history.front, tendon), {}
+    dot: looks.Look = {"marker": "o", "markeredgecolor": looks.BLACK}
     for number, step in enumerate(steps, 1):
         if np.any(tension[: step + 1]):
             own = lines_along(manipulator, jax.tree.map(lambda x, step=step: x[step], fields), quantity)
@@ -123,13 +124,9 @@ def draw_history_along(
             step, values = steps[numbers[0] - 1], lines[numbers[0]]
             look: looks.Look = look | {"marker": "none", "label": f"{_listed(numbers)}: {tension[step]:.4g} N"}
             axes.plot(1e3 * s, values, **look)
-            front = float(_of_tendon(history.front, tendon)[step])
-            if front < s[-1]:
-                axes.plot(
-                    1e3 * front, np.interp(front, s, values), "o", color=look["color"], markeredgecolor=looks.BLACK
-                )
-        if any(line.get_marker() == "o" for line in axes.lines):
-            axes.plot([], [], "o", color="white", markeredgecolor=looks.BLACK, label="front")
+            if (front := fronts[step]) < s[-1]:
+                axes.plot(1e3 * front, np.interp(front, s, values), color=look["color"], **dot)
+        axes.plot([], [], color="white", label="front", linestyle="none", **dot)
         axes.set(xlabel=QUANTITIES["arc_length"].axis_label, ylabel=QUANTITIES[quantity].axis_label)
         axes.set_xlim(0.0, 1e3 * s[-1])
         axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
@@ -156,11 +153,9 @@ def draw_energy(
     work, lost, stored = (scale * np.asarray(energy) for energy in (of.work, of.friction_loss, of.stored_energy))
     at = np.interp(np.arange(len(work)), steps, np.arange(1, len(steps) + 1))
     with draw.axes_or_new(axes, HEIGHT) as axes:
-        look = {"linewidth": 0, "edgecolor": looks.GREY}
-        axes.fill_between(at, 0.0, stored, facecolor=looks.SKY, label="stored in the body", **look)
-        axes.fill_between(
-            at, stored, stored + lost, facecolor=looks.YELLOW, hatch="/////", label="lost to friction", **look
-        )
+        look = {"facecolor": looks.YELLOW, "edgecolor": looks.GREY, "hatch": "/////", "linewidth": 0}
+        axes.fill_between(at, 0.0, stored, facecolor=looks.SKY, linewidth=0, label="stored in the body")
+        axes.fill_between(at, stored, stored + lost, label="lost to friction", **look)
         axes.plot(at, stored, color=looks.BLUE, linestyle="--")
         axes.plot(at, work, color=looks.BLACK, label="work put in")
         axes.set(xlabel="Step, base tension (N)", ylabel="Energy (mJ)")
@@ -229,8 +224,7 @@ def _number_points(axes: Axes, x: np.ndarray, y: np.ndarray, steps: Sequence[int
     sizes = np.array([np.ptp(x) or 1.0, np.ptp(y) or 1.0])
     for numbers in sorted(_alike({n: np.array([x[step], y[step]]) / sizes for n, step in numbered.items()})):
         step = numbered[numbers[0]]
-        others = x[:step][x[:step] != x[step]]  # before it, where it stayed at that tension
-        at, pulled = (x[step], y[step]), others.size == 0 or x[step] > others[-1]
+        at, pulled = (x[step], y[step]), x[step] >= x[max(step - 1, 0)]
         axes.plot(*at, "o", color=looks.BLACK, zorder=4)
         look: looks.Look = {"ha": "left", "va": "top"} if pulled else {"ha": "right", "va": "bottom"}
         offset, text = (3, -3) if pulled else (-3, 3), _listed(numbers)

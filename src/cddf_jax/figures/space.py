@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import Normalize
-from matplotlib.figure import FigureBase
+from matplotlib.figure import Figure, SubFigure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
@@ -82,7 +82,7 @@ def draw_scene(what: Drawn, axes: Axes, before: np.ndarray | None = None) -> Non
         for arrow in arrows:
             look, (start, end) = {"color": color, "linewidth": 1.3, "zorder": 9}, arrow[-2:]
             scene.plot(*arrow.T, **look)
-            head = 0.05 * what.length / np.linalg.norm(end - start)  # of its last piece
+            head = float(0.05 * what.length / np.linalg.norm(end - start))  # of its last piece
             scene.quiver(*start, *(end - start), arrow_length_ratio=head, **look)
     draw.scale_beside(scene, norm, "$T$ (N)")
     draw.legend_of_loads(scene, what.loads, in_space=True)
@@ -163,13 +163,13 @@ def draw_view(axes: Axes, what: Drawn, plane: str) -> None:
 
 def figure_with_views(
     height: float, points: np.ndarray, draw_into: Callable[[Axes, str], None]
-) -> tuple[FigureBase, FigureBase]:
+) -> tuple[Figure, SubFigure]:
     """A figure of two columns of a page with three plane views of points, mm, to one scale at its foot.
 
     `draw_into` draws into the axes of a plane. The second figure is the room above the views, of a height in inches.
     """
     figure = draw.new_figure(draw.DOUBLE_COLUMN, height + 1.9)
-    above, below = figure.subfigures(2, 1, height_ratios=(height, 1.9))
+    above, below = cast(Sequence[SubFigure], figure.subfigures(2, 1, height_ratios=(height, 1.9)))
     low, high = points.min(axis=0), points.max(axis=0)
     margin = 0.05 * np.max(high - low)
     low, high = low - margin, high + margin

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm
-from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.patheffects import withStroke
@@ -58,8 +57,17 @@ def draw_lines(dataset: "xarray.Dataset", output: str, over: str, axes: Axes | N
         InputError: for names that are not there, or too many lines.
     """
     array = _chosen("draw_lines", dataset, output, (over,), LINES)
+    others = [str(dimension) for dimension in array.dims if dimension != over]
+    places = np.ndindex(*(array.sizes[dimension] for dimension in others))
     with draw.axes_or_new(axes, 2.4) as axes:
-        _draw_curves(axes, array, over)
+        for place, look in zip(places, looks.CURVES, strict=False):
+            at = dict(zip(others, place, strict=True))
+            label = ", ".join(value_words(array[name], i) for name, i in at.items())
+            _draw_curve(axes, array.isel(at), over, look | {"label": label})
+        axes.set(xlabel=axis_label(array[over]), ylabel=axis_label(array))
+        if array.attrs["yes_or_no"]:
+            axes.set_ylim(-0.15, 1.15)
+            axes.set_yticks([0, 1], ["no", "yes"])
         draw.legend_above(axes)
     return axes
 
@@ -96,7 +104,7 @@ def _chosen(who: str, dataset: "xarray.Dataset", output: str, over: Sequence[str
         raise InputError(
             f"{who}: {output!r} is not an output of this sweep, or is one along the body; there are {there}"
         )
-    numbers = [name for name, c in _lists(answer).items() if is_numeric(c.values) and name not in PARTS]
+    numbers = [name for name in numbers_of(answer) if answer[name].ndim == 1]
     if lost := [name for name in over if name not in numbers]:
         raise InputError(
             f"{who}: {lost[0]!r} is not a number that varies; there are {', '.join(numbers) or 'none left'}"
@@ -115,11 +123,6 @@ def _chosen(who: str, dataset: "xarray.Dataset", output: str, over: Sequence[str
     some = answer.isel({name: spread(answer.sizes[name], VALUES) for name in over}).load()
     some = some.sortby([name for name in over if name != answer.attrs.get(PATH)])
     return in_label_units(some)[output].transpose(*over, ...)
-
-
-def _lists(answer: "xarray.Dataset") -> "dict[str, xarray.DataArray]":
-    """The coordinates along one dimension, by name."""
-    return {str(name): c for name, c in answer.coords.items() if c.ndim == 1}
 
 
 # --- all outputs ---------------------------------------------------------------------------------
@@ -167,7 +170,7 @@ def _over_a_tension(answer: "xarray.Dataset") -> "xarray.Dataset":
     path = answer.attrs.get(PATH)
     if path in answer.coords or path not in answer.dims:
         return answer
-    pulled = [name for name in _lists(answer) if name.startswith("base_tension") and answer[name].dims == (path,)]
+    pulled = [name for name in numbers_of(answer) if name.startswith("base_tension") and answer[name].dims == (path,)]
     widest = max(pulled, key=lambda name: float(np.ptp(answer[name].values)))
     return answer.swap_dims({path: widest}).assign_attrs({PATH: widest})
 
@@ -180,37 +183,21 @@ def spread(size: int, most: int) -> np.ndarray:
 # --- drawing -------------------------------------------------------------------------------------
 
 
-def _draw_curves(axes: Axes, array: "xarray.DataArray", over: str) -> None:
-    """A line for each combination of what else varies, and the solves that are doubtful or failed."""
-    curves, others = [], [str(dimension) for dimension in array.dims if dimension != over]
-    places = np.ndindex(*(array.sizes[dimension] for dimension in others))
-    for place, look in zip(places, looks.CURVES, strict=False):
-        at = dict(zip(others, place, strict=True))
-        label, part = ", ".join(value_words(array[d], i) for d, i in at.items()), array.isel(at)
-        x, y, codes = part[over].values, part.values, part[RESULT].values
-        style: looks.Look = look | ({"marker": "none"} if x.size > MARKED else {})
-        axes.plot(x, np.where(codes == Status.successful, y, np.nan), label=label, **style)
-        for start, end in pairwise(draw.turning_places(x)) if array[over].attrs["is_path"] else ():
-            draw.draw_arrow(axes, x[start : end + 1], y[start : end + 1], look["color"])
-        curves.append((x, y, codes, look))
-    for x, y, codes, look in curves:
-        _draw_others(axes, x, y, codes, look)
-    axes.set(xlabel=axis_label(array[over]), ylabel=axis_label(array))
-    if array.attrs["yes_or_no"]:
-        axes.set_ylim(-0.15, 1.15)
-        axes.set_yticks([0, 1], ["no", "yes"])
-
-
-def _draw_others(axes: Axes, x: np.ndarray, y: np.ndarray, codes: np.ndarray, look: looks.Look) -> None:
-    """Doubtful solves as hollow markers, and solves without a number as crosses at the lower edge."""
-    others, there = codes != Status.successful, np.isfinite(y)
-    if np.any(doubtful := others & there):
-        label = f"hollow: doubtful, {results_in_words(codes[doubtful])}"
+def _draw_curve(axes: Axes, array: "xarray.DataArray", over: str, look: looks.Look) -> None:
+    """A line of successful solves; doubtful ones as hollow markers, those without a number as crosses at the foot."""
+    x, y, codes = array[over].values, array.values, array[RESULT].values
+    sure, there = codes == Status.successful, np.isfinite(y)
+    line: looks.Look = look | ({"marker": "none"} if x.size > MARKED else {})
+    axes.plot(x, np.where(sure, y, np.nan), **line)
+    for start, end in pairwise(draw.turning_places(x)) if array[over].attrs["is_path"] else ():
+        draw.draw_arrow(axes, x[start : end + 1], y[start : end + 1], look["color"])
+    if np.any(doubtful := ~sure & there):
         hollow = {"linestyle": "none", "markerfacecolor": "white", "markeredgewidth": 0.7, "zorder": 1.9}
-        axes.plot(x[doubtful], y[doubtful], label=label, **(look | hollow))
-    if np.any(failed := others & ~there):
-        label = f"at the foot: no number, {results_in_words(codes[failed])}"
-        foot = {"transform": axes.get_xaxis_transform(), "markeredgewidth": 0.7, "zorder": 4, "label": label}
+        hollow["label"] = f"hollow: doubtful, {results_in_words(codes[doubtful])}"
+        axes.plot(x[doubtful], y[doubtful], **(look | hollow))
+    if np.any(failed := ~sure & ~there):
+        foot: looks.Look = {"transform": axes.get_xaxis_transform(), "markeredgewidth": 0.7, "zorder": 4}
+        foot["label"] = f"at the foot: no number, {results_in_words(codes[failed])}"
         axes.plot(x[failed], np.full(failed.sum(), 0.03), "x", color=looks.BLACK, **foot)
 
 
@@ -226,7 +213,9 @@ def _draw_map(axes: Axes, array: "xarray.DataArray", x: str, y: str) -> None:
         axes.contourf(*points, values, levels=levels, cmap=draw.TENSION_COLOURS, norm=norm)
         if within := [level for level in levels if values.min() < level < values.max()]:
             look = {"colors": looks.BLACK, "linewidths": 0.5, "linestyles": "solid"}
-            _write_levels(axes, axes.contour(*points, values, within, **look))
+            lines = axes.contour(*points, values, within, **look)
+            for text in axes.clabel(lines, fmt="%g", fontsize=7, colors=looks.BLACK):
+                text.set_path_effects([withStroke(linewidth=2.0, foreground="white")])
     if lost:
         look = {"facecolor": looks.PALE, "edgecolor": looks.GREY, "hatch": "/////", "linewidth": 0.0, "zorder": 0}
         axes.add_patch(Rectangle((0, 0), 1, 1, transform=axes.transAxes, label=f"hatched: {lost}", **look))
@@ -239,14 +228,6 @@ def _levels(there: np.ndarray) -> np.ndarray:
     if np.isclose(low, high, rtol=1e-9, atol=0.0):
         low, high = low - (0.01 * abs(low) or 1.0), high + (0.01 * abs(high) or 1.0)
     return np.asarray(MaxNLocator(8).tick_values(low, high))
-
-
-def _write_levels(axes: Axes, lines: QuadContourSet) -> None:
-    """The level on each line, unless it would lie over the frame."""
-    for text in axes.clabel(lines, fmt="%g", fontsize=7, colors=looks.BLACK, inline=False):
-        text.set_path_effects([withStroke(linewidth=2.0, foreground="white")])
-        place = axes.transAxes.inverted().transform(axes.transData.transform(text.get_position()))
-        text.set_visible(bool(np.all(np.abs(place - 0.5) < 0.44)))
 
 
 # --- labels ----------------------------------------------------------------------------------------
@@ -271,12 +252,13 @@ def in_label_units(answer: "xarray.Dataset") -> "xarray.Dataset":
         return array.dims, np.asarray(scale * values), attrs
 
     outputs = {name: shown(array) for name, array in answer.data_vars.items() if name != RESULT}
-    numbers = {name: shown(c) for name, c in answer.coords.items() if is_numeric(c.values) and name not in PARTS}
+    numbers = {name: shown(answer[name]) for name in numbers_of(answer)}
     return answer.assign(outputs).assign_coords(numbers).set_coords(RESULT)
 
 
-def is_numeric(values: np.ndarray) -> bool:
-    return bool(np.issubdtype(values.dtype, np.number))
+def numbers_of(answer: "xarray.Dataset") -> list[str]:
+    """The names of all numbers that vary."""
+    return [str(n) for n, c in answer.coords.items() if np.issubdtype(c.dtype, np.number) and n not in PARTS]
 
 
 def value_words(coordinate: "xarray.DataArray", place: int) -> str:

@@ -144,10 +144,12 @@ def _draw_cloud(axes: Axes, cloud: Cloud) -> None:
             _scatter(scene, cloud, flat, color=looks.PALE, zorder=1)
         _draw_coloured(scene, cloud, space.sight(), [0, 1, 2])
     draw.scale_beside(axes, cloud.norm, cloud.label)
-    entries, look = [Line2D([], [], linestyle="none", label=cloud.lost)] if cloud.lost else [], {"color": looks.BLACK}
+    entries: list[Line2D] = []
+    look: looks.Look = {"color": looks.BLACK, "marker": "o", "markerfacecolor": "white", "linestyle": "none"}
     if doubtful := results_in_words(cloud.codes):
-        look |= {"marker": "o", "markerfacecolor": "white", "linestyle": "none"}
-        entries.insert(0, Line2D([], [], label=f"hollow: doubtful, {doubtful}", **look))
+        entries.append(Line2D([], [], label=f"hollow: doubtful, {doubtful}", **look))
+    if cloud.lost:
+        entries.append(Line2D([], [], linestyle="none", label=cloud.lost))
     if entries:
         axes.legend(handles=entries, loc="upper left")
 
