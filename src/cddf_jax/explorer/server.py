@@ -72,9 +72,9 @@ class Page:
         head = pn.FlexBox(self.head, self.robot_file, self.data_files, align_items="center", gap="4px 12px")
         return column(head, self.notice, self.place, css_classes=["whole"])
 
-    def say(self, text: str, kind: str) -> None:
-        """One line at the head of the page, or none."""
-        self.notice.object = f'<p class="{kind}" role="alert">{_escaped(text)}</p>' if text else ""
+    def say(self, text: str) -> None:
+        """One line at the head of the page that says what is wrong, or none."""
+        self.notice.object = f'<p role="alert">{_escaped(text)}</p>' if text else ""
 
     def _renew(self) -> None:
         if self.view is not None:
@@ -94,9 +94,9 @@ class Page:
         try:
             self.content = read()
         except InputError as error:
-            self.say(str(error), "error")
+            self.say(str(error))
             return
-        self.say("", "")
+        self.say("")
         self._renew()
 
     def _read_robot(self) -> PageContent:

@@ -142,7 +142,6 @@ class SpacePlot:
         """Measured positions of the tip and of markers, and those of the model."""
         for kind in self.places:
             self.figure.scatter("x", "y", source=seen[kind], name=kind, line_color=BLACK, **MARKS[kind])
-        for kind in self.places:
             show_named(self.figure, kind, False)
 
     def show(self, picture: Picture) -> None:

@@ -8,7 +8,6 @@ from contextlib import ExitStack
 from functools import partial
 from typing import TYPE_CHECKING, TypeAlias
 
-import jax
 import numpy as np
 import panel as pn
 
@@ -28,10 +27,8 @@ if TYPE_CHECKING:
     from ..identification.fit import Fit
 
 SLIDES = {"as found": 0, "slides in": 1, "slides out": -1}
-COMPILED: set[tuple[object, int]] = set()  # structures of cases with the number of arc lengths
-COMPILING = "Compiling for this kind of body and load, some seconds ..."
 
-Say: TypeAlias = Callable[[str, str], None]  # a line of text and its kind, "error", "busy" or "" for none
+Say: TypeAlias = Callable[[str], None]  # what is wrong; "" for nothing
 
 
 class Threads(ExitStack):
@@ -218,16 +215,11 @@ class ExplorerView:
 
     def _draw(self, settings: Settings, angle: float, turns: Turns, tendon: int) -> None:
         """Make the picture, and then start on another thread what takes longer."""
-        case = self.exploration.case(settings)
-        kind = jax.tree.structure(case), self.exploration.arc_length.size
-        if kind not in COMPILED:
-            self._on_page(self.say, COMPILING, "busy")
-        picture = self.exploration.picture(case)
+        picture = self.exploration.picture(self.exploration.case(settings))
         self._on_page(self._show, settings, picture, tendon)
         if picture.good:
             self.threads.pasts.submit(self._guarded, self._remember, settings, picture, turns)
             self.threads.comparisons.submit(self._guarded, self._compare, settings, angle, picture, tendon)
-        COMPILED.add(kind)
 
     def _compare(self, settings: Settings, angle: float, picture: Picture, tendon: int) -> None:
         curve = self.exploration.curve(picture.case, tendon)
@@ -281,7 +273,7 @@ class ExplorerView:
         self.tension.follow(tendon)
         self.tension.show_now(picture)
         self.numbers.object = numbers_html(picture)
-        self.say(picture.message, "error")
+        self.say(picture.message)
 
     def _done(self, settings: Settings, parts: Iterable[str]) -> None:
         """Mark parts as computed, unless there are newer settings."""
@@ -300,7 +292,7 @@ class ExplorerView:
         """Say what is wrong; the last good picture stays, in grey."""
         self._mark("computing", False, self.drawn)
         self._mark_stale(on=True)
-        self.say(message, "error")
+        self.say(message)
 
     # --- the fit ---------------------------------------------------------------------------------
 

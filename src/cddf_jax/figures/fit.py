@@ -20,8 +20,7 @@ from ..identification.bench import Bench, Group
 from ..identification.fit import Fit
 from ..identification.parameters import parameter_named
 from ..measurements.readings import kind_of, kind_of_set, set_by
-from ..quantities import QUANTITIES, dimension_of
-from ..units import preferred
+from ..quantities import QUANTITIES, Quantity
 from . import looks, style as draw
 from .history import draw_model_loops
 
@@ -31,14 +30,6 @@ MOST_ACROSS = 3  # panels side by side
 BRANCHES = ((True, "o", "pulled"), (False, "v", "released"))
 MOST_SHOWN = 1.9**2  # times the rise at the ends of the interval: up to there a profile is drawn
 INTERVAL: looks.Look = {"fmt": "none", "ecolor": looks.SKY, "elinewidth": 2.5, "capsize": 0, "alpha": 0.5}
-
-
-def shown_scale(name: str) -> tuple[float, str]:
-    """The factor from SI to the unit in figures, and the label with this unit, of a parameter."""
-    parameter = parameter_named(name)
-    scale, unit = preferred(parameter.dimension)
-    words = QUANTITIES[name].label if name == parameter.name else name.replace("_", " ").capitalize()
-    return scale, f"{words} ({unit})" if unit else words
 
 
 # --- data and model ------------------------------------------------------------------------------
@@ -178,7 +169,7 @@ def _panel_of(who: str, fit: Fit, table: str | None, column: str | None) -> _Pan
         weight, curve = rows["weight"][there], curve._replace(grid=DEGREE * curve.grid)
         numbers = DEGREE * rows["wrap_angle"][there], observed / weight, residual / weight
         return _Panel(*numbers, "Wrap angle (deg)", "Pulling tension / weight (N/N)", "N/N", label, curve)
-    scale, unit = preferred(dimension_of(kind))
+    scale, unit = QUANTITIES[kind].shown
 
     def scaled(model: diagnostics.ModelCurve) -> diagnostics.ModelCurve:
         return diagnostics.ModelCurve(size * model.grid, scale * model.value, scale * model.half_width)
@@ -187,8 +178,7 @@ def _panel_of(who: str, fit: Fit, table: str | None, column: str | None) -> _Pan
     number = f" at {column.partition('@')[2]}" if "@" in column else column.removeprefix(kind).replace("_", " ")
     words, observed, residual = f"{QUANTITIES[kind].label}{number} ({unit})", scale * observed, scale * residual
     own = set_by(rows.columns)[0]
-    size, own_unit = preferred(dimension_of(own_kind := kind_of_set(own)))
-    x_label = f"{QUANTITIES[own_kind].label} ({own_unit})"
+    size, x_label = QUANTITIES[kind_of_set(own)].shown[0], QUANTITIES[kind_of_set(own)].axis_label
     over_base = _Panel(size * rows[own][there], observed, residual, x_label, words, unit, label)
     if curve is not None:
         return over_base._replace(curve=scaled(curve))
@@ -241,29 +231,23 @@ def _draw_quantiles(axes: Axes, group: tuple[str, np.ndarray]) -> None:
 # --- readings by level ---------------------------------------------------------------------------
 
 
-class Levels(NamedTuple):
-    """Repeated readings gathered by level; `deviation` is NaN where a level was read once."""
+def by_level(x: ArrayLike, y: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The readings y gathered by level: mean of x, mean of y, and its standard deviation, NaN where it was read once.
 
-    x: np.ndarray
-    mean: np.ndarray
-    deviation: np.ndarray  # standard deviation over the readings of a level
-
-
-def by_level(x: ArrayLike, y: ArrayLike) -> Levels:
-    """Gather the readings y whose x agree within 2 % of the range of x, by which a set level may scatter."""
+    Those whose x agree within 2 % of the range of x, by which a set level may scatter, are of one level.
+    """
     x, y = np.asarray(x, float), np.asarray(y, float)
     order = np.argsort(x, kind="stable")
     groups = np.split(order, np.flatnonzero(np.diff(x[order]) > 0.02 * np.ptp(x)) + 1)
     deviation = [y[group].std(ddof=1) if len(group) > 1 else np.nan for group in groups]
     level, mean = (np.array([values[group].mean() for group in groups]) for values in (x, y))
-    return Levels(level, mean, np.array(deviation))
+    return level, mean, np.array(deviation)
 
 
 def draw_levels(axes: Axes, x: ArrayLike, y: ArrayLike, **style: looks.LookValue) -> None:
     """Mean and standard deviation of y at each level of x, as markers with error bars."""
-    levels = by_level(x, y)
     look = {"fmt": "o", "color": looks.BLACK, "markerfacecolor": "white", "elinewidth": 0.8, "zorder": 3}
-    axes.errorbar(levels.x, levels.mean, yerr=levels.deviation, **(look | style))
+    axes.errorbar(*by_level(x, y), **(look | style))
 
 
 def draw_about_zero(
@@ -303,7 +287,8 @@ def draw_profile(fit: Fit, profile: Profile, axes: Axes | None = None) -> Axes:
         axes: where to draw; None for a new figure, one column wide.
     """
     name, estimate, status = profile.name, fit.value[profile.name], fit.status[profile.name]
-    scale, label = shown_scale(name)
+    quantity = QUANTITIES.get(name) or Quantity(name, parameter_named(name).dimension)
+    scale, label = quantity.shown[0], quantity.axis_label
     with draw.axes_or_new(axes, PANEL_HEIGHT) as axes:
         interval, limit = profile.confidence_interval, np.sqrt(profile.threshold)
         valley = status != AT_BOUND and not all(profile.closed) and bool(np.all(profile.value > 0))

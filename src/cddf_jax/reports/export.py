@@ -140,13 +140,18 @@ def field_columns(fields: AnyFields) -> dict[str, np.ndarray]:
     columns = {"arc_length [m]": np.asarray(fields.arc_length)}
     columns |= {f"{axis} [m]": own for axis, own in zip(AXES, np.asarray(fields.position).T, strict=False)}
     for name in filter(known.__contains__, ALONG):
-        values, own = np.asarray(getattr(fields, name)), [dim for dim in known[name] if dim != "point"]
-        values, unit = np.moveaxis(values, known[name].index("point"), -1), QUANTITIES[name].unit
+        own, values = [dim for dim in known[name] if dim != "point"], np.asarray(getattr(fields, name))
+        values = np.moveaxis(values, known[name].index("point"), -1)
         for place in np.ndindex(values.shape[:-1]):
             ends = [f"_{i + 1 if dim == 'tendon' else AXES[i]}" for dim, i in zip(own, place, strict=True)]
-            head = f"{name}{''.join(ends)}"
-            columns[head if unit == "1" else f"{head} [{unit}]"] = values[place]
+            columns[_head(name + "".join(ends), name)] = values[place]
     return columns
+
+
+def _head(text: str, name: str) -> str:
+    """The head of a column with the unit of a quantity."""
+    unit = QUANTITIES[name].unit
+    return text if unit == "1" else f"{text} [{unit}]"
 
 
 def history_numbers(history: History) -> dict[str, np.ndarray]:
@@ -159,13 +164,10 @@ def history_columns(numbers: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """The columns of a table of a history, from its numbers."""
     columns: dict[str, np.ndarray] = {}
     for name, values in numbers.items():
-        unit, parts = QUANTITIES[name].unit, values.reshape(len(values), -1).T
-        if name == "tip_position":
-            heads = AXES[: len(parts)]
-        else:
-            heads = [name] if len(parts) == 1 else [f"{name}_{i}" for i in range(1, len(parts) + 1)]
-        for head, part in zip(heads, parts, strict=True):
-            columns[head if unit == "1" else f"{head} [{unit}]"] = part
+        parts = values.reshape(len(values), -1).T
+        several = AXES if name == "tip_position" else [f"{name}_{i + 1}" for i in range(len(parts))]
+        heads = several if len(parts) > 1 else [name]
+        columns |= {_head(head, name): part for head, part in zip(heads, parts, strict=False)}
     return columns
 
 

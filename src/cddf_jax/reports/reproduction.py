@@ -215,7 +215,7 @@ def compared_numbers(results: PaperResults) -> list[ComparedNumber]:
     """The numbers that section IV of the paper prints."""
     loss = 1 - results.tip_tension[np.searchsorted(PULLS, PULL)] / PULL
     updates = int(results.history_at_pull().num_updates)
-    levels = len(by_level(results.base_tension, results.observed).x)
+    levels = len(by_level(results.base_tension, results.observed)[0])
     there = results.observed > 0
     error = float(np.mean(np.abs(results.predicted[there] / results.observed[there] - 1)))
     return [
