@@ -9,6 +9,8 @@ SETUP = """
 import jax
 import numpy as np
 import cddf_jax as cddf
+from cddf_jax import figures
+
 jax.config.update("jax_enable_x64", True)
 
 body = dict(length=0.140, outer_radius=(0.020, 0.013), inner_radius=0.007, tendon_offset=0.010,

@@ -215,15 +215,6 @@ def test_one_figure_per_table(figures):
         assert re.search(r"\bn\b", label)  # the unit
 
 
-def test_figures_are_drawn(figures, tmp_path):
-    for name, figure in figures.items():
-        files = plotting.render(figure, name)
-        assert set(files) == {f"{name}.pdf", f"{name}.png"}
-        writing.write_all(tmp_path, files)
-        assert (tmp_path / f"{name}.pdf").read_bytes().startswith(b"%PDF-")
-        assert np.ptp(imread(tmp_path / f"{name}.png")) > 0.5  # something is on it
-
-
 def test_the_curve_is_the_model(figures, paper_route):
     """The line of the load cells' panel against the closed form at the estimate, docs/theory.md (16)."""
     above = figures["fit_load_cells_simulated"].axes[0]

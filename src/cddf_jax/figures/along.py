@@ -1,7 +1,6 @@
 """Lines over arc length: the fields of an equilibrium."""
 
-from collections.abc import Sequence
-from itertools import cycle
+from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -47,7 +46,7 @@ def draw_along(
     lines = lines_along(manipulator, along, quantity)
     names = BENDING if quantity == "curvature" else [f"tendon {i + 1}" for i in range(len(lines))]
     with draw.axes_or_new(axes, HEIGHT) as axes:
-        _draw_lines(axes, 1e3 * s, lines, names, style)
+        _draw_lines(axes, 1e3 * s, dict(zip(names, lines, strict=False)), style)
         axes.set(xlabel=QUANTITIES["arc_length"].axis_label, ylabel=QUANTITIES[quantity].axis_label)
         axes.set_xlim(0.0, 1e3 * s[-1] * (1.06 if len(lines) > 1 else 1.0))
         if quantity != "angle":  # whose zero means nothing
@@ -57,20 +56,21 @@ def draw_along(
     return axes
 
 
-def _draw_lines(axes: Axes, s: np.ndarray, values: np.ndarray, names: Sequence[str], style: looks.Look) -> None:
+def _draw_lines(axes: Axes, s: np.ndarray, lines: Mapping[str, np.ndarray], style: looks.Look) -> None:
     """Lines that differ by dashes, and where these are used up by markers; several lines have numbers at their ends."""
-    count, dashes = len(values), cycle([look["linestyle"] for look in looks.CURVES])
     ends: dict[tuple[float, float], list[str]] = {}
-    for i, (line, name, dash) in enumerate(zip(values, names, dashes, strict=False)):
-        marker = MARKERS[i // len(looks.CURVES) % len(MARKERS)]
+    for i, (name, line) in enumerate(lines.items()):
+        row, place = divmod(i, len(looks.CURVES))
+        dash, marker = looks.CURVES[place]["linestyle"], MARKERS[row % len(MARKERS)]
         look: looks.Look = {"color": looks.BLACK, "linestyle": dash, "marker": marker, "markevery": 25}
-        look |= {"markerfacecolor": "white", "label": name if count > 1 else ""}
+        look |= {"markerfacecolor": "white", "label": name if len(lines) > 1 else ""}
         axes.plot(s, line, **(look | style))
         last = np.flatnonzero(np.isfinite(line))[-1]
         ends.setdefault((float(s[last]), round(float(line[last]), 3)), []).append(name.split()[-1])
-    box = {"facecolor": "white", "edgecolor": "none", "pad": 0.4}
-    for end, numbers in ends.items() if count > 1 else ():
-        place = {"textcoords": "offset points", "va": "center", "fontsize": 7.5, "bbox": box}
-        axes.annotate(", ".join(numbers), end, (3, 0), **place)
-    if count > 1 and "label" not in style:
-        draw.legend_above(axes, 3)
+    if len(lines) > 1:
+        box = {"facecolor": "white", "edgecolor": "none", "pad": 0.4}
+        for end, numbers in ends.items():
+            place = {"textcoords": "offset points", "va": "center", "fontsize": 7.5, "bbox": box}
+            axes.annotate(", ".join(numbers), end, (3, 0), **place)
+        if "label" not in style:
+            draw.legend_above(axes, 3)

@@ -143,14 +143,5 @@ def draw_trade_off(front: ParetoFront, axes: Axes | None = None) -> Axes:
             words = re.sub("^(least|most) ", "", name).replace("_", " ").capitalize()
             raised = re.sub(r"\^(-?\d+)", r"$^{\1}$", unit)  # exponents as they are set: cm^3
             set_label(f"{words} ({raised})" if unit else words)
-        _widen(axes, x, y)
         axes.legend(loc="lower left", frameon=False)
     return axes
-
-
-def _widen(axes: Axes, x: np.ndarray, y: np.ndarray) -> None:
-    """Wider axis limits around designs that hardly differ: else rounding would look like a trade-off."""
-    for values, set_limits in ((x, axes.set_xlim), (y, axes.set_ylim)):
-        middle = float(np.nanmean(values))
-        if np.nanmax(values) - np.nanmin(values) < 1e-3 * abs(middle):
-            set_limits(middle - 0.05 * abs(middle), middle + 0.05 * abs(middle))

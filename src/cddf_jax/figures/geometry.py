@@ -136,14 +136,9 @@ class Drawn(NamedTuple):
 
 def stations(manipulator: Manipulator) -> np.ndarray:
     """Arc lengths, m: a grid, joints of the body and ends of tendons, and points close to both sides of each."""
-    return with_joints(np.linspace(0.0, float(manipulator.length), 201), evaluated(joints, manipulator))
-
-
-def with_joints(grid: np.ndarray, joints: ArrayLike) -> np.ndarray:
-    """A grid of arc lengths with those joints that lie on it, and points close to both sides of each."""
-    joints, length = np.asarray(joints, float), grid[-1]
-    joints = joints[(joints > 0) & (joints < length)]
-    return np.unique(np.concatenate([grid, *(joints + side * 1e-9 * length for side in (-1, 0, 1))]))
+    length, found = float(manipulator.length), np.asarray(evaluated(joints, manipulator), float)
+    inside = found[(found > 0) & (found < length)]
+    return np.unique([*np.linspace(0.0, length, 201), *inside, *(inside - 1e-9 * length), *(inside + 1e-9 * length)])
 
 
 def fields_along(equilibrium: Equilibrium, arc_length: np.ndarray) -> AnyFields:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import matplotlib as mpl
 import numpy as np
@@ -26,10 +26,9 @@ from ..errors import InputError
 from ..progress import stage
 from ..robot.loads import Loads
 from .geometry import Body
-from .looks import BLACK, GREY, PALE, PURPLE, SKY, VERMILION, LookValue
+from .looks import BLACK, GREY, PALE, PURPLE, SKY, VERMILION, Look, LookValue
 
 Item = TypeVar("Item")
-Settings: TypeAlias = dict[Any, LookValue]  # by the names of Matplotlib's rcParams
 
 SINGLE_COLUMN, DOUBLE_COLUMN = 3.5, 7.16  # inches, the columns of IEEE's two-column page
 # perceptually uniform, for colour-blind readers and for grey prints: the higher the tension the darker
@@ -95,7 +94,7 @@ def tension_scale(tension: np.ndarray) -> Normalize:
 
 def scale_beside(axes: Axes, norm: Normalize, label: str) -> None:
     """The colours of values beside axes."""
-    look: Settings = {"shrink": 0.7, "pad": 0.14} if isinstance(axes, Axes3D) else {"pad": 0.02}
+    look: Look = {"shrink": 0.7, "pad": 0.14} if isinstance(axes, Axes3D) else {"pad": 0.02}
     figure = cast(FigureBase, axes.get_figure(root=False))
     figure.colorbar(ScalarMappable(norm, TENSION_COLOURS), ax=axes, label=label, aspect=35, **look)
 

@@ -88,10 +88,12 @@ def make_report(fit: Fit, *, bootstraps: Sequence[Bootstrap] = (), with_profiles
     )
     body, frictions, loops = fit.manipulator, {}, {}
     for name, table, in_order in _from_rest(fit):
-        if body.kinematics == "exact" and body.num_tendons == 1 and not body.slanted:
-            frictions |= _friction_without_model(fit, name, table, in_order)
+        if body.kinematics == "exact" and body.num_tendons == 1 and not body.slanted and len(table) >= LEAST_ROWS:
+            with suppress(InputError):  # a column is missing, or no row is bent
+                frictions[name] = _friction_without_model(fit, table, in_order)
         if in_order and fit.success and body.tendon_drag is None and not body.slanted and fit.setting.loads is None:
-            loops |= _loop_without_model(fit, name, table)
+            with suppress(InputError):  # a column is missing, or it was not released far enough
+                loops[name] = _loop_without_model(fit, table)
     return FitResults(fit, profiles, tuple(bootstraps), frictions, loops)
 
 
@@ -103,36 +105,25 @@ def _from_rest(fit: Fit) -> Iterator[tuple[str, Measurements, bool]]:
             yield name, table, bench is not None and bool(bench.in_order)
 
 
-def _friction_without_model(fit: Fit, name: str, table: Measurements, in_order: bool) -> dict[str, WithoutModel]:
-    """Model-free friction of a table with tip tension and tip angle, for one tendon parallel to the axis."""
-    from ..identification.model_free import COLUMNS, model_free_friction
+def _friction_without_model(fit: Fit, table: Measurements, in_order: bool) -> WithoutModel:
+    from ..identification.model_free import model_free_friction
 
-    if len(table) < LEAST_ROWS or not all(column in table for column in COLUMNS):
-        return {}
-    mu, away, said = "friction_coefficient", None, ""
-    with suppress(InputError):  # no row is bent
-        found = model_free_friction(table, in_order=in_order)
-        if mu in fit.names and np.isfinite(fit.standard_error[mu]):
-            error = float(np.hypot(found.standard_error, fit.standard_error[mu]))
-            away = (fit.value[mu] - found.value) / error if error > 0 else None
-        if away is not None:
-            check = "; check kinematics, the offset of the tendon, and the zeros of the cells and the camera"
-            said = f"the fit lies {abs(away):.1f} standard errors from it" + check * (abs(away) > LARGEST_AWAY)
-        return {name: WithoutModel(found, {"standard_errors_away": away, "unit": "1"}, said)}
-    return {}
+    found, mu, away, said = model_free_friction(table, in_order=in_order), "friction_coefficient", None, ""
+    if mu in fit.names and np.isfinite(fit.standard_error[mu]):
+        error = float(np.hypot(found.standard_error, fit.standard_error[mu]))
+        away = (fit.value[mu] - found.value) / error if error > 0 else None
+    if away is not None:
+        check = "; check kinematics, the offset of the tendon, and the zeros of the cells and the camera"
+        said = f"the fit lies {abs(away):.1f} standard errors from it" + check * (abs(away) > LARGEST_AWAY)
+    return WithoutModel(found, {"standard_errors_away": away, "unit": "1"}, said)
 
 
-def _loop_without_model(fit: Fit, name: str, table: Measurements) -> dict[str, WithoutModel]:
-    """Gain and loss of a loop of tensions, of a tendon parallel to the axis without drag or loads."""
-    from ..identification.model_free import OF_LOOP as COLUMNS, model_free_loop
+def _loop_without_model(fit: Fit, table: Measurements) -> WithoutModel:
+    from ..identification.model_free import model_free_loop
 
-    if all(column in table for column in COLUMNS):
-        with suppress(InputError):  # not released far enough
-            found, tension = model_free_loop(table), float(table["base_tension"].max())
-            loss = float(1 / solve(fit.manipulator, tension).tip_tension[0]) - 1 / tension
-            of_fit: dict[str, object] = {"loss_of_fit": loss, "unit_of_loss": "1/N"}
-            return {name: WithoutModel(found, of_fit, f"the fit has {loss:.4g} 1/N")}
-    return {}
+    found, tension = model_free_loop(table), float(table["base_tension"].max())
+    loss = float(1 / solve(fit.manipulator, tension).tip_tension[0]) - 1 / tension
+    return WithoutModel(found, {"loss_of_fit": loss, "unit_of_loss": "1/N"}, f"the fit has {loss:.4g} 1/N")
 
 
 # --- results.json --------------------------------------------------------------------------------
