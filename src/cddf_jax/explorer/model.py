@@ -226,8 +226,8 @@ class Exploration:
         """Notes on the tables."""
         read_as = [line for table in self.tables for line in table.read_as]
         why = "each row is drawn as an equilibrium of its own; a fit follows the order of the rows"
-        fitted = [f"{table.name}: driven by displacement, so it is fitted and not drawn" for table in self.tables]
-        not_drawn = [note for note, table in zip(fitted, self.tables, strict=True) if table not in self.drawn]
+        driven = "driven by displacement, so it is fitted and not drawn"
+        not_drawn = [f"{table.name}: {driven}" for table in self.tables if table not in self.drawn]
         return read_as + [f"{table.name}: {why}" for table in self.not_followed] + not_drawn
 
     def tapers(self, settings: Settings, angle: float) -> tuple[Taper, Taper]:

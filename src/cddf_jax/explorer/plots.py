@@ -78,10 +78,7 @@ class BodyPlot:
         self.figure.title.text_font_style, self.figure.title.text_font_size = "normal", "13px"
         points = {name: ColumnDataSource(_xy(NONE)) for name in ("midline", "past", "ends", "moment")}
         looks = [tendon_look(i) for i in range(manipulator.num_tendons)]
-        self.style: Columns = {
-            "color": [look["line_color"] for look in looks],
-            "dash": [look["line_dash"] for look in looks],
-        }
+        self.style: Columns = {"color": [x["line_color"] for x in looks], "dash": [x["line_dash"] for x in looks]}
         tendons = ColumnDataSource(_lines([NONE] * len(looks)) | self.style)
         self.sources = {"walls": ColumnDataSource(_lines([])), "tendons": tendons, **points}
         self._draw_surroundings(manipulator, straight_body(manipulator, arc_length))

@@ -86,10 +86,14 @@ class SpacePlot:
         self.extents: list[ColumnDataSource] = []  # of each figure, two corners that set its scale
         self.middle = (0.5 * self.length, 0.0, -0.1 * self.length)
         seen = self._sees(self.figure, BODY | SCENE, azimuth, elevation, self.middle)
-        self._draw_floor(seen)
+        self.figure.patches("xs", "ys", source=seen["shadow"], fill_color=PALE, line_color=PALE)
+        self.figure.multi_line("xs", "ys", source=seen["floor"], line_color="color", line_width="width")
+        self.figure.text("x", "y", source=seen["ticks"], **_words(11))
         _draw_body(self.figure, seen, 12)
         self.figure.text("x", "y", source=seen["names"], **_words(12))
-        self._draw_places(seen)
+        for kind in self.places:
+            self.figure.scatter("x", "y", source=seen[kind], name=kind, line_color=BLACK, **MARKS[kind])
+            show_named(self.figure, kind, False)
         self._draw_legend(one=manipulator.num_tendons == 1)
         self.views: list[Plot] = []
         for plane, (around, up, _) in PLANES.items():
@@ -117,13 +121,6 @@ class SpacePlot:
         self.extents.append(extent)
         return seen
 
-    def _draw_floor(self, seen: dict[str, ColumnDataSource]) -> None:
-        """The floor with the shadow of the body."""
-        fig = self.figure
-        fig.patches("xs", "ys", source=seen["shadow"], fill_color=PALE, line_color=PALE)
-        fig.multi_line("xs", "ys", source=seen["floor"], line_color="color", line_width="width")
-        fig.text("x", "y", source=seen["ticks"], **_words(11))
-
     def _draw_legend(self, one: bool) -> None:
         """The legend, with entries for what is drawn without one."""
         tendon = tendon_look(0) | {"line_width": 2}
@@ -137,12 +134,6 @@ class SpacePlot:
         look_of_legend(self.figure)
         legend.orientation, legend.ncols, legend.spacing, legend.margin = "horizontal", len(looks), 12, 0
         self.figure.add_layout(legend, "above")
-
-    def _draw_places(self, seen: dict[str, ColumnDataSource]) -> None:
-        """Measured positions of the tip and of markers, and those of the model."""
-        for kind in self.places:
-            self.figure.scatter("x", "y", source=seen[kind], name=kind, line_color=BLACK, **MARKS[kind])
-            show_named(self.figure, kind, False)
 
     def show(self, picture: Picture) -> None:
         """Draw an equilibrium."""

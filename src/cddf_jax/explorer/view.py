@@ -11,12 +11,15 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 import panel as pn
 
+from .. import figures
 from ..errors import InputError, SolveError
+from ..estimation.determination import IDENTIFIED
 from ..quantities import QUANTITIES
+from ..reports.export import fields_csv
 from ..robot.cross_section import Kinematics
 from ..robot.manipulator import KINEMATICS
 from .controls import from_si, rounded, tensions_and_loads
-from .model import Curve, Exploration, Picture, Settings
+from .model import Exploration, Picture, Settings
 from .parts import column, grid, plot, slider, title, words
 from .past import Loop, Turns, after_move, loop_of, why_no_loop
 from .plots import AlongPlots, BodyPlot, TableColumns, TensionPlots
@@ -26,6 +29,12 @@ from .words import lines_html, loop_html, numbers_html, paragraph, tapers_html
 if TYPE_CHECKING:
     from ..identification.fit import Fit
 
+FILES = {
+    "explorer.pdf": "Figure (PDF)",
+    "explorer.png": "Figure (PNG)",
+    "body.toml": "Body as set (TOML)",
+    "fields.csv": "Fields along the body (CSV)",
+}
 SLIDES = {"as found": 0, "slides in": 1, "slides out": -1}
 
 Say: TypeAlias = Callable[[str], None]  # what is wrong; "" for nothing
@@ -67,17 +76,15 @@ class ExplorerView:
         self._show_points("data", [(table, table.columns) for table in pulled])
         self._make_controls()
         self._make_words()
-        turned = [grid(*map(plot, self.body.angles), least=200)] if self.body.angles else []
-        tension = grid(*map(plot, self.tension.figures.values()), least=330)
         parts = {
-            "body": [plot(self.body.figure), *turned],
+            "body": [plot(self.body.figure), grid(*map(plot, self.body.angles), least=200)],
             "numbers": [self.numbers],
             "along": [grid(*map(plot, (*self.body.views, *self.along.figures.values())), least=230)],
-            "past": self._past_parts(),
+            "past": [self.past_text, *([] if self.several else [self.forget_button])],
             "what_if": [self.what_if],
         }
         self.drawn = {name: column(*part) for name, part in parts.items()}
-        self.drawn["tension"] = column(tension, self.drawn["past"])
+        self.drawn["tension"] = column(grid(*map(plot, self.tension.figures.values()), least=330), self.drawn["past"])
         self.closed = False
         pn.state.on_session_destroyed(lambda _: self.close())
         pn.state.onload(self.change)
@@ -104,32 +111,14 @@ class ExplorerView:
             widget.param.watch(lambda _: self.change(), "value")
 
     def _make_words(self) -> None:
-        self.numbers, self.what_if, self.verdict = map(words, ("numbers", "what-if", "verdict"))
-        self.fit_button = pn.widgets.Button(
-            name="Fit friction and modulus", button_type="primary", on_click=lambda _: self.start_fit()
-        )
-        self.take_over = pn.widgets.Button(
-            name="Set the sliders to the fit", visible=False, on_click=lambda _: self._take_over()
-        )
+        kinds = ("numbers", "what-if", "verdict", "past")
+        self.numbers, self.what_if, self.verdict, self.past_text = map(words, kinds)
+        self.forget_button = pn.widgets.Button(name="Forget the past", on_click=lambda _: self.forget())
+        self.fit_button = pn.widgets.Button(name="Fit friction and modulus", button_type="primary")
         self.fit_button.disabled = not self.exploration.tables
-
-    def _past_parts(self) -> list[pn.viewable.Viewable]:
-        """The text about the past, and the button that forgets it where there may be something to forget."""
-        self.past_text = words("past")
-        button = pn.widgets.Button(name="Forget the past", on_click=lambda _: self.forget())
-        return [self.past_text, *([] if self.several else [button])]
-
-    def _downloads(self) -> list[pn.widgets.FileDownload]:
-        labels = {
-            "explorer.pdf": "Figure (PDF)",
-            "explorer.png": "Figure (PNG)",
-            "body.toml": "Body as set (TOML)",
-            "fields.csv": "Fields along the body (CSV)",
-        }
-        return [
-            pn.widgets.FileDownload(callback=partial(self._file, name), filename=name, label=label, width=210)
-            for name, label in labels.items()
-        ]
+        self.take_over = pn.widgets.Button(name="Set the sliders to the fit", visible=False)
+        self.fit_button.on_click(lambda _: self.start_fit())
+        self.take_over.on_click(lambda _: self._take_over())
 
     def _file(self, name: str) -> io.BytesIO:
         if (picture := self.picture) is None:
@@ -138,14 +127,9 @@ class ExplorerView:
         if name == "body.toml":
             return io.BytesIO(self.exploration.toml(case).encode())
         if name == "fields.csv":
-            from ..reports.export import fields_csv
-
             return io.BytesIO(fields_csv(picture.along, self.notes).encode())
-        from ..figures.body import equilibrium_figure
-        from ..figures.style import render
-
-        figure = equilibrium_figure(case.manipulator, picture.equilibrium, case.loads)
-        return io.BytesIO(render(figure, "explorer")[name])
+        figure = figures.equilibrium_figure(case.manipulator, picture.equilibrium, case.loads)
+        return io.BytesIO(figures.render(figure, "explorer")[name])
 
     @property
     def parts(self) -> dict[str, pn.Column]:
@@ -153,7 +137,11 @@ class ExplorerView:
         compared = column(title("What if the taper were another"), self.angle, self.drawn["what_if"])
         buttons = pn.FlexBox(self.fit_button, self.take_over)
         fit = column(title("What the data tell"), buttons, self.verdict)
-        files = column(title("Save"), pn.FlexBox(*self._downloads()))
+        downloads = [
+            pn.widgets.FileDownload(callback=partial(self._file, name), filename=name, label=label, width=210)
+            for name, label in FILES.items()
+        ]
+        files = column(title("Save"), pn.FlexBox(*downloads))
         kinematics = [] if self.exploration.manipulator.in_space else [self.kinematics]
         chosen = pn.FlexBox(*(self.directions if self.several else []), *kinematics)
         return {
@@ -169,8 +157,7 @@ class ExplorerView:
 
     def move_to(self, settings: Settings) -> None:
         """Set the sliders."""
-        for name, value in settings.numbers.items():
-            moved = self.sliders[name]
+        for moved, value in ((self.sliders[name], value) for name, value in settings.numbers.items()):
             moved.param.update(start=min(moved.start, value), end=max(moved.end, value), value=value)
         for widget, direction in zip(self.directions, settings.direction, strict=True):
             widget.value = direction or 0
@@ -224,7 +211,9 @@ class ExplorerView:
     def _compare(self, settings: Settings, angle: float, picture: Picture, tendon: int) -> None:
         curve = self.exploration.curve(picture.case, tendon)
         rows = self.exploration.in_rows(picture.case.manipulator)
-        self._on_page(self._show_model, settings, curve, rows)
+        self._on_page(self.tension.show_curve, curve)
+        self._on_page(self._show_points, "rows", rows)
+        self._on_page(self._done, settings, ["tension"])
         text = "The bending stiffness of this body is given: another taper would not change how it bends."
         if self.exploration.manipulator.stiffened_by_radii:
             tapers = self.exploration.tapers(settings, np.radians(angle))
@@ -236,11 +225,6 @@ class ExplorerView:
         """Readings, or what the body shows in their rows."""
         self.tension.show_points(kind, tables)
         self.body.show_points(kind, tables)
-
-    def _show_model(self, settings: Settings, curve: Curve, rows: Sequence[TableColumns]) -> None:
-        self.tension.show_curve(curve)
-        self._show_points("rows", rows)
-        self._done(settings, ["tension"])
 
     def _remember(self, settings: Settings, picture: Picture, turns: Turns) -> None:
         """Show the loop of the tension, or why there is none."""
@@ -327,8 +311,6 @@ class ExplorerView:
         """The parameters that the data determine; only these are taken over."""
         if self.fitted is None or not self.fitted.success:
             return []
-        from ..estimation.determination import IDENTIFIED
-
         return [name for name in self.fitted.names if self.fitted.status[name] == IDENTIFIED]
 
     def _take_over(self) -> None:

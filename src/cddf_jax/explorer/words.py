@@ -48,8 +48,9 @@ def numbers_html(picture: Picture) -> str:
     head = ("tendon", *["slides"] * several, "base tension", "tip tension", "loss", "pulled in")
     result = escape(in_words(found.status), quote=True)
     strip = "".join(f'<div class="tile"><span>{words}</span>{number}</div>' for words, number in tiles)
-    strip = f'<div class="tiles" role="status" data-name="result" data-result="{result}">{strip}</div>'
-    return strip + _table(head, rows)
+    return (
+        f'<div class="tiles" role="status" data-name="result" data-result="{result}">{strip}</div>{_table(head, rows)}'
+    )
 
 
 def paragraph(text: str) -> str:

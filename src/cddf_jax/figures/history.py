@@ -126,7 +126,8 @@ def draw_history_along(
             axes.plot(1e3 * s, values, **look)
             if (front := fronts[step]) < s[-1]:
                 axes.plot(1e3 * front, np.interp(front, s, values), color=look["color"], **dot)
-        axes.plot([], [], color="white", label="front", linestyle="none", **dot)
+        if np.any(fronts[steps] < s[-1]):
+            axes.plot([], [], color="white", label="front", linestyle="none", **dot)
         axes.set(xlabel=QUANTITIES["arc_length"].axis_label, ylabel=QUANTITIES[quantity].axis_label)
         axes.set_xlim(0.0, 1e3 * s[-1])
         axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))

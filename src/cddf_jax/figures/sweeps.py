@@ -104,7 +104,7 @@ def _chosen(who: str, dataset: "xarray.Dataset", output: str, over: Sequence[str
         raise InputError(
             f"{who}: {output!r} is not an output of this sweep, or is one along the body; there are {there}"
         )
-    numbers = [name for name in numbers_of(answer) if answer[name].ndim == 1]
+    numbers = [name for name in varying_numbers(answer) if answer[name].ndim == 1]
     if lost := [name for name in over if name not in numbers]:
         raise InputError(
             f"{who}: {lost[0]!r} is not a number that varies; there are {', '.join(numbers) or 'none left'}"
@@ -170,7 +170,9 @@ def _over_a_tension(answer: "xarray.Dataset") -> "xarray.Dataset":
     path = answer.attrs.get(PATH)
     if path in answer.coords or path not in answer.dims:
         return answer
-    pulled = [name for name in numbers_of(answer) if name.startswith("base_tension") and answer[name].dims == (path,)]
+    pulled = [
+        name for name in varying_numbers(answer) if name.startswith("base_tension") and answer[name].dims == (path,)
+    ]
     widest = max(pulled, key=lambda name: float(np.ptp(answer[name].values)))
     return answer.swap_dims({path: widest}).assign_attrs({PATH: widest})
 
@@ -214,8 +216,10 @@ def _draw_map(axes: Axes, array: "xarray.DataArray", x: str, y: str) -> None:
         if within := [level for level in levels if values.min() < level < values.max()]:
             look = {"colors": looks.BLACK, "linewidths": 0.5, "linestyles": "solid"}
             lines = axes.contour(*points, values, within, **look)
-            for text in axes.clabel(lines, fmt="%g", fontsize=7, colors=looks.BLACK):
+            for text in axes.clabel(lines, fmt="%g", fontsize=7, colors=looks.BLACK, inline=False):
                 text.set_path_effects([withStroke(linewidth=2.0, foreground="white")])
+                place = axes.transAxes.inverted().transform(axes.transData.transform(text.get_position()))
+                text.set_visible(bool(np.all(np.abs(place - 0.5) < 0.44)))  # not over the frame
     if lost:
         look = {"facecolor": looks.PALE, "edgecolor": looks.GREY, "hatch": "/////", "linewidth": 0.0, "zorder": 0}
         axes.add_patch(Rectangle((0, 0), 1, 1, transform=axes.transAxes, label=f"hatched: {lost}", **look))
@@ -252,11 +256,11 @@ def in_label_units(answer: "xarray.Dataset") -> "xarray.Dataset":
         return array.dims, np.asarray(scale * values), attrs
 
     outputs = {name: shown(array) for name, array in answer.data_vars.items() if name != RESULT}
-    numbers = {name: shown(answer[name]) for name in numbers_of(answer)}
+    numbers = {name: shown(answer[name]) for name in varying_numbers(answer)}
     return answer.assign(outputs).assign_coords(numbers).set_coords(RESULT)
 
 
-def numbers_of(answer: "xarray.Dataset") -> list[str]:
+def varying_numbers(answer: "xarray.Dataset") -> list[str]:
     """The names of all numbers that vary."""
     return [str(n) for n, c in answer.coords.items() if np.issubdtype(c.dtype, np.number) and n not in PARTS]
 
