@@ -27,7 +27,6 @@ Points: TypeAlias = tuple[np.ndarray, np.ndarray, str]  # places, values and one
 NUM_ARROWS = 11  # along each tendon
 LONGEST_ARROW = 0.2  # of the length of the body
 DASHES = {"-": [], "--": [6], "-.": [6, 4, 2, 4], ":": [2, 4]}
-NORMAL, FRICTION = GREEN, VERMILION
 OF_BODY = ("curvature", "bending", "twist")  # one line, not one for each tendon
 ARROW = ("x_start", "y_start", "x_end", "y_end")  # columns of arrows, as Bokeh calls them
 MARKS: dict[str, Look] = {  # of readings, and of the model in their rows
@@ -109,7 +108,7 @@ class BodyPlot:
         fig.scatter("x", "y", source=source["ends"], color=BLACK, size=6)
 
     def _draw_forces(self) -> None:
-        for name, color in (("normal", NORMAL), ("friction", FRICTION)):
+        for name, color in (("normal", GREEN), ("friction", VERMILION)):
             self._arrows(name, NormalHead(size=7, fill_color=color, line_color=color), 2)
             self.figure.line([np.nan], [np.nan], color=color, line_width=2, legend_label=f"{name} force per length")
         for name in ("force", "turn"):
@@ -178,12 +177,11 @@ class AlongPlots:
     """Tension, curvature and the forces per length over the arc length."""
 
     def __init__(self, names: Sequence[str], num_tendons: int, arc_length: np.ndarray):
-        columns = [f"{name}_{i}" for name in names for i in range(num_tendons)]
-        at_rest: Columns = {"s": 1e3 * arc_length} | dict.fromkeys(columns, 0 * arc_length)
-        self.figures, self.source = {}, ColumnDataSource(at_rest)
+        at_rest: Columns = {f"{name}_{i}": 0 * arc_length for name in names for i in range(num_tendons)}
+        self.figures, self.source = {}, ColumnDataSource({"s": 1e3 * arc_length} | at_rest)
+        ends = {"x_range": (0, 1e3 * arc_length[-1])}
         for name in names:
             label = f"{QUANTITIES[name].label} ({QUANTITIES[name].shown[1]})"
-            ends = {"x_range": (0, 1e3 * arc_length[-1])}
             fig = self.figures[name] = bare_figure("Arc length (mm)", label, height=210, name=name, **ends)
             fig.xaxis.ticker.desired_num_ticks = 4
             if name not in ("curvature", "twist"):

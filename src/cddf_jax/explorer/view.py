@@ -157,7 +157,8 @@ class ExplorerView:
 
     def move_to(self, settings: Settings) -> None:
         """Set the sliders."""
-        for moved, value in ((self.sliders[name], value) for name, value in settings.numbers.items()):
+        for name, value in settings.numbers.items():
+            moved = self.sliders[name]
             moved.param.update(start=min(moved.start, value), end=max(moved.end, value), value=value)
         for widget, direction in zip(self.directions, settings.direction, strict=True):
             widget.value = direction or 0

@@ -48,9 +48,8 @@ def numbers_html(picture: Picture) -> str:
     head = ("tendon", *["slides"] * several, "base tension", "tip tension", "loss", "pulled in")
     result = escape(in_words(found.status), quote=True)
     strip = "".join(f'<div class="tile"><span>{words}</span>{number}</div>' for words, number in tiles)
-    return (
-        f'<div class="tiles" role="status" data-name="result" data-result="{result}">{strip}</div>{_table(head, rows)}'
-    )
+    head_of_strip = f'<div class="tiles" role="status" data-name="result" data-result="{result}">'
+    return f"{head_of_strip}{strip}</div>{_table(head, rows)}"
 
 
 def paragraph(text: str) -> str:

@@ -170,9 +170,8 @@ def _over_a_tension(answer: "xarray.Dataset") -> "xarray.Dataset":
     path = answer.attrs.get(PATH)
     if path in answer.coords or path not in answer.dims:
         return answer
-    pulled = [
-        name for name in varying_numbers(answer) if name.startswith("base_tension") and answer[name].dims == (path,)
-    ]
+    along = [name for name in varying_numbers(answer) if answer[name].dims == (path,)]
+    pulled = [name for name in along if name.startswith("base_tension")]
     widest = max(pulled, key=lambda name: float(np.ptp(answer[name].values)))
     return answer.swap_dims({path: widest}).assign_attrs({PATH: widest})
 
