@@ -144,6 +144,15 @@ def test_loads_have_sliders_for_three_components(page):
             assert page.get_by_role("textbox", name=label, exact=True).input_value() == "0"
 
 
+def test_the_axis_names_the_tendon_that_moved(page):
+    label = "() => Bokeh.documents[0].get_model_by_name('tip_angle').below[0].axis_label"
+    for place, other in ((0, 31.0), (1, 11.0)):
+        for tension in (other, TENSIONS[place]):
+            type_number(page, place, f"{tension:g}")
+            wait_for(page, f"base_tension_{place + 1}", f"{tension:g}")
+        assert page.evaluate(label) == f"Base tension of tendon {place + 1} (N)"
+
+
 def test_the_past_is_not_remembered(page):
     page.get_by_text("The past is remembered for one tendon.").wait_for()
     assert page.get_by_role("button", name="Forget the past").count() == 0

@@ -224,13 +224,6 @@ def test_tendons_and_components_are_lines_too(grid):
     assert [text.get_text() for text in axes.get_legend().get_texts()] == ["X", "Y"]
 
 
-def test_a_solve_that_gave_no_number_is_neither_yes_nor_no(grid):
-    axes = figures.draw_lines(grid.sel(friction_coefficient=0.6), "stable", "base_tension", Figure().subplots())
-    line, failed = axes.lines
-    np.testing.assert_array_equal(line.get_ydata(), [1, 1, 1, 1, np.nan])
-    assert failed.get_xdata().tolist() == [50.0]
-
-
 def test_a_map_either_way_round(grid):
     names = ("friction_coefficient", "base_tension")
     axes = figures.draw_map(grid.sel(tendon=0), "tip_tension", *names, Figure().subplots())

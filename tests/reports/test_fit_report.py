@@ -234,13 +234,6 @@ def test_the_figure_of_a_single_level(paper):
 
 
 @pytest.mark.slow
-def test_the_figure_of_one_base_tension(paper):
-    table = Measurements.from_columns("bench", base_tension=[50.0] * 17, tip_tension=34.7 + 0.1 * np.sin(np.arange(17)))
-    (figure,) = fit_figures.table_figures(cddf.fit(paper, table)).values()
-    assert imread(BytesIO(plotting.render(figure, "bench")["bench.png"])).size > 0
-
-
-@pytest.mark.slow
 def test_rows_that_lie_apart_are_drawn_over_their_prediction(paper, load_cells):
     """A tendon that slides out in two rows: the curve of the tendon that is pulled in would not go through them."""
     columns = {name: load_cells[name][:17] for name in ("base_tension", "tip_tension")}
