@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from bodies import PAPER, fields_at, lane, one_kinematics_at_once, paper_body, paper_plain, replaced, stack
-from marching import Marching
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 
@@ -21,7 +20,6 @@ W = 100.0  # N/m: 14 N over the length
 EXACT, PUBLISHED = (paper_body(kinematics, drag=W) for kinematics in ("exact", "published"))
 CYLINDER = paper_body("exact", outer_radius=(0.016, 0.016), drag=W)
 J = np.pi / 4 * (0.016**4 - 0.007**4)
-MARCHING = Marching(steps=2)
 WITH_KINKS = 3e-7  # where a tendon becomes slack or turns over
 
 
@@ -193,15 +191,6 @@ def test_the_published_kinematics_lose_the_same_tension(base_tension):
     T = solve_ivp(rate, (0, LENGTH), [base_tension], method="DOP853", rtol=1e-12, atol=1e-12).y[0, -1]
     solution = cddf.solve(PUBLISHED, base_tension)
     np.testing.assert_allclose(solution.tip_tension, [max(T, 0.0)], rtol=1e-9)
-
-
-@pytest.mark.slow
-def test_one_pass_agrees_with_the_fixed_point():
-    for base_tension in (75.0, 12.0):
-        fixed, marched = (cddf.solve(CYLINDER, base_tension, method=m) for m in (cddf.FixedPoint(), MARCHING))
-        # 12 N are used up before the tip, in an element of which tensions at the nodes are right to 1e-7 of 12 N
-        np.testing.assert_allclose(marched.tension, fixed.tension, rtol=1e-7, atol=1.2e-6)
-        np.testing.assert_allclose(marched.position, fixed.position, atol=WITH_KINKS * LENGTH)
 
 
 def pair(offsets=(d, d)):

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from bodies import PAPER, both_modes, codes, paper_body
-from marching import Marching
 from refusals import refused
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
@@ -116,13 +115,6 @@ def test_derivatives_by_masses_places_and_stiffness():
             expected = (reference(x._replace(**{name: x[i] + h})) - at[1]) / (2 * h)
         scale = np.max(np.abs(expected))
         np.testing.assert_allclose(forward[:, i], expected, rtol=1e-4, atol=1e-5 * scale, err_msg=name)
-
-
-@pytest.mark.slow
-def test_marching_meets_the_jumps_of_the_force():
-    found, result = observed(Numbers(), method=Marching())
-    assert result == cddf.Status.successful
-    np.testing.assert_allclose(found, reference(), rtol=1e-7)
 
 
 @pytest.mark.slow

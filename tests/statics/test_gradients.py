@@ -1,4 +1,4 @@
-"""Derivatives in both modes and twice: against the closed form, against unrolled passes, against marching."""
+"""Derivatives in both modes and twice: against the closed form, against unrolled passes."""
 
 from dataclasses import replace
 from functools import lru_cache, partial
@@ -8,14 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from bodies import both_modes, paper_body, paper_plain, twice
-from marching import Marching
 from numpy.polynomial import legendre
 from scipy.integrate import quad
 
 import cddf_jax as cddf
 
 ACCURATE = 1e-8  # relative to the largest: what the solver promises for the tip tension
-MARCHED = 1e-6  # the derivative of RK4 with 8 steps between nodes
 
 # mu, E (MPa), base tension (N), outer radius at base and tip (mm): of order one to a hundred
 PARAMETERS = jnp.array([0.42, 1.4, 60.0, 20.0, 13.0])
@@ -190,14 +188,6 @@ def test_implicit_derivatives_of_a_slanted_tendon_are_those_of_unrolled_passes(c
     np.testing.assert_allclose(value, unrolled(case)(parameters), rtol=ACCURATE)
     assert_close(forward[:, :5], slope, ACCURATE)
     assert_close(reverse[:, :5], slope, ACCURATE)
-
-
-@pytest.mark.slow
-def test_implicit_derivatives_are_those_of_marching():
-    """Of antagonists in the published kinematics; one in the exact kinematics is held to unrolled passes above."""
-    case = "published, one out"
-    marched = jax.jit(jax.jacfwd(solved(case, Marching(steps=4))))(PARAMETERS)
-    assert_close(derivatives_of(case)(PARAMETERS)[1], marched, MARCHED)
 
 
 def closed_form_derivatives(mu, E, T, G):

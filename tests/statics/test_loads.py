@@ -32,7 +32,6 @@ from loaded_bodies import (
     loaded_reference,
     random_loaded,
 )
-from marching import Marching
 from refusals import refused
 from scipy.integrate import cumulative_simpson
 from scipy.interpolate import CubicSpline
@@ -334,13 +333,6 @@ def test_the_opposed_tendon():
     assert len(reference.turning_points) == 1
     solution = cddf.solve(opposed(), 60.0, cddf.Loads(*OPPOSING))
     assert largest_difference(solution, reference, paper_plain("exact")) < WITH_KINKS
-
-
-@pytest.mark.slow
-def test_marching_agrees():
-    """RK4, eight steps between nodes, as it differs without loads too."""
-    solution = cddf.solve(opposed(), 60.0, cddf.Loads(*OPPOSING), method=Marching())
-    assert largest_difference(solution, opposed_reference(), paper_plain("exact")) < 1e-6
 
 
 def test_the_papers_iteration_refuses_loads():
