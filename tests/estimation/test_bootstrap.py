@@ -14,11 +14,9 @@ from straight_line import (
     X,
     line,
     line_beside,
-    posterior_with,
     without_a_number,
 )
 
-import cddf_jax as cddf
 from cddf_jax.errors import InputError
 from cddf_jax.estimation.bootstrap import Bootstrap
 from cddf_jax.estimation.least_squares import least_squares_fit
@@ -76,12 +74,6 @@ def test_parametric_takes_the_estimated_noise():
     agree_within_simulation(fit.bootstrap(replicates=2000).covariance[np.ix_(order, order)], expected, 2000)
 
 
-def test_a_prior_is_one_more_reading():
-    """The conjugate posterior covariance; if the prior were not drawn too, the scatter would lack it."""
-    fit = least_squares_fit(line, START, NOISY, SIGMA, priors={"b": (0.5, 0.01)})
-    agree_within_simulation(fit.bootstrap(replicates=2000, seed=12).covariance, posterior_with(0.5, 0.01)[1], 2000)
-
-
 @pytest.mark.parametrize("kind", ["parametric", "cases"])
 def test_what_only_a_prior_holds_scatters_by_it(kind):
     fit = least_squares_fit(line_beside, START | {"c": 1.0}, NOISY, SIGMA, priors={"c": (3.0, 0.1)})
@@ -101,13 +93,8 @@ def test_the_numbers_of_a_bootstrap(known):
     np.testing.assert_allclose(found.covariance, np.cov(found.estimates.T))
     np.testing.assert_allclose(found.estimate, list(known.value.values()))
     assert (found.kind, found.seed, found.names) == ("parametric", 4, known.names)
-
-
-@pytest.mark.parametrize("kind", ["parametric", "cases"])
-def test_seeds_repeat(known, kind):
-    one, same, other = (known.bootstrap(kind, 20, seed=seed).estimates for seed in (5, 5, 6))
-    np.testing.assert_array_equal(one, same)
-    assert not np.any(one == other)
+    np.testing.assert_array_equal(known.bootstrap(replicates=260, seed=4).estimates, found.estimates)
+    assert not np.any(known.bootstrap(replicates=260, seed=6).estimates == found.estimates)
 
 
 def test_estimates_stay_inside_bounds():
@@ -174,13 +161,6 @@ def test_how_often_drawn_noise_holds_the_truth():
     assert told._replace(noise_freedom=np.inf).remark == ""
 
 
-def test_the_number_of_cases(known):
-    found = known.bootstrap("cases", 2, clusters={"data": ("trial", TRIALS)})
-    assert found.num_cases == 3
-    assert known.bootstrap("cases", 2).num_cases == 30
-    assert known.bootstrap("parametric", 2)[-2:] == (0, np.inf)  # its noise was given
-
-
 @pytest.mark.parametrize("common", [True, False])
 def test_clusters_across_groups(common):
     """Groups that draw from the same trials have the same trials drawn; from others, any two draws together."""
@@ -210,15 +190,6 @@ def test_refits_that_fail_are_counted():
     assert found.estimates.shape == (0, 1)
     assert np.isnan(found.standard_error["a"])
     assert np.all(np.isnan(found.confidence_interval["a"]))
-
-
-def test_how_far_it_is(known, said):
-    with cddf.show_progress():
-        known.bootstrap(replicates=300)  # of which 250 are refitted at once
-    assert [(stage.what, stage.done, stage.total) for stage in said] == [
-        ("bootstrap", 0, None),
-        ("refitting", 300, 300),
-    ]
 
 
 @pytest.mark.parametrize(

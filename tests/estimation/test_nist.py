@@ -135,14 +135,6 @@ def test_hard_problems(name, start):
     assert (fit.restarted in fit.remarks) == again
 
 
-def test_as_many_starts_as_are_asked_for():
-    fit, certified = fit_hard("MGH09", "far", starts=64)
-    np.testing.assert_allclose(list(fit.value.values()), certified, rtol=2e-5)
-    assert fit.starts.shape == (64,)
-    np.testing.assert_array_equal(fit.starts, np.sort(fit.starts))
-    assert fit.restarted == ""
-
-
 @pytest.mark.parametrize("name", ["MGH09", "Rat43"])
 def test_one_far_start_is_no_wrong_success(name):
     fit, certified = fit_hard(name, "far", starts=1)
@@ -172,36 +164,10 @@ FAR = {  # model, places, truth, far starts
         [3.0, 6.0, -1.5],
         [[3.5, 0.17, -4.7], [0.2, 0.67, -15.0]],
     ),
-    "logistic step": (
-        lambda b, x: b[3] + b[0] / (1 + jnp.exp(-(x - b[1]) / b[2])),
-        np.linspace(0.0, 15.0, 20),
-        [12.0, 8.0, 1.5, 3.0],
-        [[2.1, 270.0, -0.027, 88.0], [-130.0, 11.5, 0.04, 88.0]],
-    ),
-    "hyperbolic tangent": (
-        lambda b, x: b[0] * jnp.tanh((x - b[1]) / b[2]) + b[3],
-        np.linspace(0.0, 15.0, 20),
-        [2.0, 6.0, 2.0, 1.0],
-        [[0.37, 40.0, 0.31, 9.2], [-1.6, 89.0, -0.12, 0.018]],
-    ),
-    "power law with an offset": (
-        lambda b, x: b[2] + b[0] * x ** b[1],
-        np.geomspace(0.05, 50.0, 24),
-        [3.0, 0.4, -2.0],
-        [[45.0, -1.8, -26.0], [14.0, -0.0115, -77.0]],
-    ),
-    "power law of a shifted place": (
-        lambda b, x: b[0] * (b[1] + x) ** (-1 / b[2]),
-        np.linspace(1.0, 40.0, 30),
-        [-2500.0, 45.0, 0.95],
-        [[-2.8e4, 330.0, -0.7], [-25.0, 450.0, 9.5]],
-    ),
 }
 
 
-@pytest.mark.parametrize(
-    "name", [*list(FAR)[:2], *(pytest.param(name, marks=pytest.mark.slow) for name in list(FAR)[2:])]
-)
+@pytest.mark.parametrize("name", FAR)
 def test_far_starts(name):
     """Exact data have the truth for their minimum; of noisy ones SciPy, from the truth, finds it."""
     model, x, truth, starts = FAR[name]

@@ -10,14 +10,6 @@ from cddf_jax.estimation.least_squares import least_squares_fit
 from cddf_jax.estimation.remarks import chance_of_more
 
 
-def test_a_product_beside_another_parameter():
-    start = {"a": 1.0, "c": 1.0, "d": 1.0}
-    fit = least_squares_fit(lambda p: p["a"] + p["c"] * p["d"] * X, start, NOISY + 2 * X, SIGMA)
-    value, error, _ = fit.combinations["c * d"]
-    assert value == pytest.approx(B_HAT + 2, rel=1e-6)
-    assert error == pytest.approx(SIGMA * np.sqrt(COVARIANCE[1, 1]), rel=1e-6)
-
-
 def test_a_product_of_many_rows():
     """30,000 rows: what needs a square matrix of them needs 7 GB."""
     x = np.linspace(0.0, 3.0, 30_000)
@@ -35,15 +27,11 @@ def test_an_outlier_is_pointed_out(sigma):
     assert fit.remarks == ("entry 8 of data lies far off the model: check it, or use a robust loss",)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("sigma", [SIGMA, None])
-def test_honest_noise_has_hardly_ever_an_outlier(sigma):
-    """One experiment in a hundred; of 200, more than 7 one time in a thousand."""
+def test_honest_noise_has_hardly_ever_an_outlier():
+    """One experiment in a hundred; of 100, more than 5 one time in a thousand."""
     rng = np.random.default_rng(5)
-    alarms = [
-        least_squares_fit(line, START, DESIGN @ [2.0, 0.5] + SIGMA * rng.normal(size=30), sigma) for _ in range(200)
-    ]
-    assert sum(bool(fit.remarks) for fit in alarms) <= stats.binom.ppf(0.999, 200, 0.01)
+    alarms = [least_squares_fit(line, START, DESIGN @ [2.0, 0.5] + SIGMA * rng.normal(size=30)) for _ in range(100)]
+    assert sum(bool(fit.remarks) for fit in alarms) <= stats.binom.ppf(0.999, 100, 0.01)
 
 
 def test_data_without_residuals_show_no_noise():
@@ -75,11 +63,6 @@ def test_repeats_of_one_level_are_explained():
     fit = least_squares_fit(lambda p: p["a"] + 0 * X, {"a": 1.0}, data)
     assert (fit.success, fit.status) == (True, {"a": "identified"})
     assert fit.value["a"] == pytest.approx(data.mean(), rel=1e-9)
-
-
-def test_few_degrees_of_freedom_are_named():
-    fit = least_squares_fit(lambda p: p["a"] + 0 * X[:2], {"a": 1.0}, NOISY[:2])
-    assert any("the noise of data is estimated with only 1 degree(s) of freedom" in remark for remark in fit.remarks)
 
 
 def test_few_degrees_of_freedom_of_one_column_are_named():

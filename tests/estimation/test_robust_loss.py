@@ -13,9 +13,7 @@ from cddf_jax.estimation.observations import Noise
 from cddf_jax.estimation.robust_loss import CAUCHY, HUBER, LOSSES
 
 ROBUST = {"huber": HUBER, "cauchy": CAUCHY}
-ONE_AT_ONCE = [name if name == "huber" else pytest.param(name, marks=pytest.mark.slow) for name in ROBUST]
 X = np.linspace(0.0, 3.0, 60)
-DESIGN = np.stack([np.ones_like(X), X], axis=1)
 START = {"a": 1.0, "b": 1.0}
 
 
@@ -108,14 +106,13 @@ def test_a_prior_is_not_softened():
     assert fit.value["a"] == pytest.approx(expected, rel=1e-8)
 
 
-@pytest.mark.parametrize("name", ONE_AT_ONCE)
-def test_contaminated_data(name):
+def test_contaminated_data():
     """15 % of the readings 20 deviations too high: least squares is misled, a robust loss is not."""
     rng = np.random.default_rng(2)
     data = 2.0 + 0.5 * X + 0.05 * rng.normal(size=60)
     data[rng.choice(60, 9, replace=False)] += 1.0
     misled = least_squares_fit(line, START, data)
-    fit = least_squares_fit(line, START, data, loss=name)
+    fit = least_squares_fit(line, START, data, loss="huber")
     assert fit.success, fit.result
     middle, misled_middle = (f.value["a"] + 1.5 * f.value["b"] - 2.75 for f in (fit, misled))
     assert misled_middle == pytest.approx(0.15, abs=0.03)  # the share times the shift
@@ -127,36 +124,33 @@ def test_contaminated_data(name):
     assert misled.noise["data"] > 0.3
 
 
-@pytest.mark.parametrize("name", ONE_AT_ONCE)
-def test_noise_is_the_median(name):
+def test_noise_is_the_median():
     """1.4826 times the median of |residual| is the deviation of a Gaussian; two parameters are fitted."""
     data = with_outliers(np.random.default_rng(3), 2.0 + 0.5 * X)
-    fit = least_squares_fit(line, START, data, loss=name)
+    fit = least_squares_fit(line, START, data, loss="huber")
     factor = 1 / stats.norm.ppf(0.75)
     residuals = data - fit.value["a"] - fit.value["b"] * X
     expected = factor * np.median(np.abs(residuals)) * np.sqrt(60 / 58)
     assert fit.noise["data"] == pytest.approx(expected, rel=2e-4)
 
 
-@pytest.mark.parametrize("name", ONE_AT_ONCE)
-def test_units_do_not_matter(name):
+def test_units_do_not_matter():
     data = with_outliers(np.random.default_rng(4), 2.0 + 0.5 * X)
-    fit = least_squares_fit(line, START, data, loss=name)
-    large = least_squares_fit(line, {"a": 1e6, "b": 1e6}, 1e6 * data, loss=name)
+    fit = least_squares_fit(line, START, data, loss="huber")
+    large = least_squares_fit(line, {"a": 1e6, "b": 1e6}, 1e6 * data, loss="huber")
     np.testing.assert_allclose(list(large.value.values()), 1e6 * np.array(list(fit.value.values())), rtol=1e-4)
     errors = [np.array(list(f.standard_error.values())) for f in (fit, large)]
     np.testing.assert_allclose(errors[1], 1e6 * errors[0], rtol=1e-3)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ROBUST)
-def test_standard_errors_against_simulation(name):
+def test_standard_errors_against_simulation():
     """200 data sets, outliers of both signs: the scatter of the slope is its standard error."""
     fits = []
     for seed in range(200):
         rng = np.random.default_rng((5, seed))
         noise = 0.05 * rng.normal(size=X.size) * np.where(rng.random(X.size) < 0.1, 10.0, 1.0)
-        fits.append(least_squares_fit(line, {"a": 2.0, "b": 0.5}, 2.0 + 0.5 * X + noise, loss=name))
+        fits.append(least_squares_fit(line, {"a": 2.0, "b": 0.5}, 2.0 + 0.5 * X + noise, loss="huber"))
     slopes, errors = (np.array([f.value["b"] for f in fits]), np.array([f.standard_error["b"] for f in fits]))
     assert all(f.success for f in fits)
     # four standard errors of a spread from 200 draws
@@ -183,22 +177,20 @@ def test_floor_and_fraction_with_outliers():
     assert max(misled.noise_model["data"].floor / 0.5, misled.noise_model["data"].fraction / 0.02) > 3
 
 
-@pytest.mark.parametrize("name", ONE_AT_ONCE)
-def test_profile_and_standard_error_agree(name):
+def test_profile_and_standard_error_agree():
     """On many data a loss is as good as quadratic near its least, and both intervals are that of Huber's theory."""
     x = np.linspace(0.0, 3.0, 2000)
     rng = np.random.default_rng(7)
     noise = 0.05 * rng.normal(size=x.size) * np.where(rng.random(x.size) < 0.1, 10.0, 1.0)
-    fit = least_squares_fit(lambda p: p["a"] + p["b"] * x, START, 2.0 + 0.5 * x + noise, loss=name)
+    fit = least_squares_fit(lambda p: p["a"] + p["b"] * x, START, 2.0 + 0.5 * x + noise, loss="huber")
     expected = np.array(fit.confidence_interval["b"]) - fit.value["b"]
     np.testing.assert_allclose(np.array(fit.profile("b").confidence_interval) - fit.value["b"], expected, rtol=0.03)
 
 
-@pytest.mark.parametrize("name", ["huber", pytest.param("cauchy", marks=pytest.mark.slow)])
-def test_bootstrap_of_cases_counts_a_datum_twice(name):
+def test_bootstrap_of_cases_counts_a_datum_twice():
     """A datum drawn twice is there twice: of three clusters there are ten draws, refitted here by SciPy."""
     data = with_outliers(np.random.default_rng(8), 2.0 + 0.5 * X)
-    fit = least_squares_fit(line, START, data, 0.05, loss=name)
+    fit = least_squares_fit(line, START, data, 0.05, loss="huber")
     found = fit.bootstrap("cases", 40, clusters={"data": ("trial", np.arange(60) % 3)})
     possible = []
     for drawn in combinations_with_replacement(range(3), 3):
@@ -206,8 +198,8 @@ def test_bootstrap_of_cases_counts_a_datum_twice(name):
         answer = optimize.least_squares(
             lambda p, x=X[rows], y=data[rows]: (p[0] + p[1] * x - y) / 0.05,
             [2.0, 0.5],
-            loss=name,
-            f_scale=ROBUST[name],
+            loss="huber",
+            f_scale=HUBER,
             **dict.fromkeys(("ftol", "xtol", "gtol"), 1e-14),
         )
         possible.append(answer.x)

@@ -7,7 +7,7 @@ import pytest
 
 from cddf_jax.estimation import levenberg_marquardt, restarts
 from cddf_jax.estimation.least_squares import least_squares_fit
-from cddf_jax.estimation.levenberg_marquardt import WATCHED, Watch, minimise
+from cddf_jax.estimation.levenberg_marquardt import Watch
 from cddf_jax.estimation.whole_search import INTERRUPTED
 from cddf_jax.progress import SHOWN, Log, Stages
 
@@ -19,37 +19,6 @@ START = {"height": 20.0, "rate": 3.0}
 
 def decay(p):
     return p["height"] * jnp.exp(-p["rate"] * X)
-
-
-def test_portions_of_steps_find_the_same(monkeypatch):
-    """One step at a time, as where each one is slow, and all at once."""
-    monkeypatch.setattr(levenberg_marquardt, "BRIEF", -1.0)
-    problem = least_squares_fit(decay, START, DATA, sigma=0.01).minimum.problem
-    found = []
-    for portion in 1, 500:
-        before = WATCHED.set(Watch(portion=portion))
-        found.append(minimise(problem, np.array([0.3, -0.4])))
-        WATCHED.reset(before)
-    assert all(one.solved and 3 < one.num_steps < 100 for one in found)
-    np.testing.assert_allclose(found[0].parameters, found[1].parameters, rtol=1e-8)
-
-
-def test_a_portion_does_not_look_again_where_the_one_before_ended(monkeypatch):
-    """One look at the first place, and one for each step, however many portions they are divided into."""
-    monkeypatch.setattr(levenberg_marquardt, "BRIEF", -1.0)
-    looks = []
-
-    def counted(p):
-        jax.debug.callback(lambda: looks.append(1))
-        return decay(p)
-
-    problem = least_squares_fit(counted, START, DATA, sigma=0.01).minimum.problem
-    looks.clear()
-    before = WATCHED.set(Watch(portion=1))
-    found = minimise(problem, np.array([0.3, -0.4]))
-    WATCHED.reset(before)
-    jax.effects_barrier()
-    assert len(looks) == found.num_steps + 1
 
 
 def test_a_model_that_is_not_good_to_all_digits_is_not_searched_to_the_last_one():

@@ -6,7 +6,7 @@ import pytest
 from scipy.optimize import least_squares, minimize
 
 from cddf_jax.estimation.least_squares import least_squares_fit
-from cddf_jax.estimation.residuals import InputErrors, Shared
+from cddf_jax.estimation.residuals import InputErrors
 
 ROWS = 12
 X = np.linspace(1.0, 3.0, ROWS)
@@ -134,15 +134,3 @@ def test_some_of_the_data_are_whitened_anew():
     covariance = dense(np.array([*NOISE.values(), INPUT]) ** 2, found.value["a"])[np.ix_(own, own)]
     expected = np.sqrt(np.diag(np.linalg.inv(DESIGN[own].T @ np.linalg.solve(covariance, DESIGN[own]))))
     np.testing.assert_allclose(part.uncertainty(np.eye(2)).standard_error, expected, rtol=1e-3)
-
-
-def test_whitening():
-    """Against the inverse square root of a dense matrix."""
-    columns = np.random.default_rng(4).normal(size=(7, 3))
-    shared = Shared.of({"x": columns}, {"x": 1.0}, 7)
-    square, directions = np.linalg.eigh(np.eye(7) + columns @ columns.T)
-    root = directions / np.sqrt(square) @ directions.T
-    np.testing.assert_allclose(shared.whitened(np.eye(7)), root, atol=1e-12)
-    np.testing.assert_allclose(shared.unwhitened(root), np.eye(7), atol=1e-12)
-    np.testing.assert_allclose(shared.kept, np.diag(root @ root), atol=1e-12)
-    assert shared.log_determinant == pytest.approx(np.sum(np.log(square)))

@@ -122,28 +122,6 @@ def test_one_reading_a_hold():
     assert average_holds(found) is found
 
 
-@pytest.mark.parametrize(("lag_one", "low", "high"), [(0.95, 0.2, 0.6), (0.0, 0.9, 1.0)])
-def test_intervals_of_averaged_holds_hold_the_truth(lag_one, low, high):
-    """400 lines through 8 holds of 50 rows, by closed forms: t-intervals of the slope, of all rows and of the means.
-
-    Where rows are alike, intervals from all rows hold the true value too seldom; intervals from means do in 95 %.
-    """
-    rng, rows = np.random.default_rng(6), np.repeat(LEVELS, 50)
-    noise = autoregressive((400, 8, 50), lag_one, rng)
-    labels = hold_labels(rows[:, None], np.zeros(400))
-    means = np.stack([np.bincount(labels, e.ravel()) / np.bincount(labels) for e in noise])
-    held = {}
-    for name, x, error in (("rows", rows, noise.reshape(400, 400)), ("means", LEVELS, means)):
-        design = np.stack([np.ones_like(x), x], axis=1)
-        inverse = np.linalg.inv(design.T @ design)
-        estimate = error @ design @ inverse
-        scatter = np.sum((error - estimate @ design.T) ** 2, axis=1) / (x.size - 2)
-        reach = stats.t.ppf(0.975, x.size - 2) * np.sqrt(scatter * inverse[1, 1])
-        held[name] = np.mean(np.abs(estimate[:, 1]) < reach)
-    assert low < held["rows"] < high
-    assert held["means"] == pytest.approx(0.95, abs=4 * np.sqrt(0.95 * 0.05 / 400))
-
-
 def test_a_fit_reports_holds():
     """A pulley test of five weights, 30 samples each: in the first lines of the report, and no more once averaged."""
     weight = np.repeat([2.0, 5.0, 10.0, 15.0, 20.0], 30)

@@ -7,7 +7,6 @@ import csv
 import io
 import re
 import shlex
-import sys
 import zipfile
 
 import numpy as np
@@ -18,12 +17,7 @@ from refusals import refused
 import cddf_jax as cddf
 from cddf_jax.cli.options import read_columns, read_data
 from cddf_jax.errors import InputError
-from cddf_jax.estimation.bootstrap import _count_cases
 from cddf_jax.figures.fit import draw_residuals
-from cddf_jax.files.csv_table import read_table
-from cddf_jax.files.table_header import Kind
-from cddf_jax.identification.bench import experiment_of
-from cddf_jax.measurements.columns import column_meant, column_resembled
 from cddf_jax.measurements.table import Measurements, read_measurements
 from cddf_jax.measurements.trials import read_tables, trials_together
 
@@ -57,58 +51,45 @@ def spreadsheet(**sheets):
     return content.getvalue()
 
 
-NOT_UTF8 = "the file is not UTF-8; it was read as Windows-1252 (Latin-1)"
-READ_AS = "read as: {!r} base_tension [{}], {!r} tip_tension [{}]"
-UNUSED = "columns that are not used: {}"
-BELOW = "the header is row {}; the text above it from row 1 on is taken for notes"
-BROKEN = "cells hold line breaks (row 3); rows are numbered by the lines of the file, as in an editor"
-
-
 @pytest.mark.parametrize(
-    ("content", "first_row", "read_as"),
+    ("content", "first_row"),
     [
-        (PLAIN, 2, []),
-        ("sep=;\n" + PLAIN.replace(",", ";").replace(".", ","), 3, []),
-        ('"sep=|"\n' + PLAIN.replace(",", "|"), 3, []),
-        ("# Prüfstand 3\n" + PLAIN, 3, []),
-        (("# Prüfstand 3\n" + PLAIN).encode("latin-1"), 3, [NOT_UTF8]),
-        ("Zeit [s],Tbase_N,T_tip (N),Bemerkung\n0,5,4.79,\n1,10,9.19,gut\n2,20,17.02\n", 2,
-         [READ_AS.format("Tbase_N", "N", "T_tip (N)", "N"), UNUSED.format("'Zeit [s]', 'Bemerkung'")]),
-        ("Base Tension [N],TIP  TENSION (Newton)\n5,4.79\n10,9.19\n20,17.02\n", 2,
-         [READ_AS.format("Base Tension [N]", "N", "TIP TENSION (Newton)", "Newton")]),
-        ("base_tension_N,tip_tension_mN\n5,4790\n10,9190\n20,17020\n", 2,
-         [READ_AS.format("base_tension_N", "N", "tip_tension_mN", "mN")]),
-        ("base_tension,tip_tension\nAI 0,AI 1\nN,mN\n5,4790\n10,9190\n20,17020\n", 4,
-         ["row 3 holds the units; between them and the header, not used: row 2"]),
+        ("sep=;\n" + PLAIN.replace(",", ";").replace(".", ","), 3),
+        (("# Prüfstand 3\n" + PLAIN).encode("latin-1"), 3),
+        ("Zeit [s],Tbase_N,T_tip (N),Bemerkung\n0,5,4.79,\n1,10,9.19,gut\n2,20,17.02\n", 2),
+        ("Base Tension [N],TIP  TENSION (Newton)\n5,4.79\n10,9.19\n20,17.02\n", 2),
+        ("base_tension_N,tip_tension_mN\n5,4790\n10,9190\n20,17020\n", 2),
+        ("base_tension,tip_tension\nAI 0,AI 1\nN,mN\n5,4790\n10,9190\n20,17020\n", 4),
         ("HBM_CATMAN\n\nTime 1\tbase_tension\ttip_tension\nMX840\tCH 1\t2\ns\tN\tN\n0\t5\t4.79\n1\t10\t9.19\n"
-         "2\t20\t17.02\n", 6, [BELOW.format(3), "row 5 holds the units; between them and the header, not used: row 4",
-             UNUSED.format("'Time 1'")]),
-        ("no,base_tension,tip_tension\nsensor,U9C,U9C\nrange,50 N,50 N\n\nno,base_tension [N],tip_tension [N]\n"
-         "1,5,4.79\n2,10,9.19\n3,20,17.02\n", 6, [BELOW.format(5), UNUSED.format("'no'")]),
+         "2\t20\t17.02\n", 6),
         ("Channel,Name,Unit,Range\n1,base_tension,N,50\n2,tip_tension,N,50\n\nbase_tension,tip_tension\nN,N\n5,4.79\n"
-         "10,9.19\n20,17.02\n", 7, [BELOW.format(5), "row 6 holds the units"]),
-        ("base_tension,tip_tension\nN,(mN)\n5,4790\n10,9190\n20,17020\n", 3, ["row 2 holds the units"]),
-        ("t;base_tension;tip_tension [N]\ns;[N];\n0;5;4,79\n1;10;9,19\n2;20;17,02\n", 3,
-         ["row 2 holds the units", UNUSED.format("'t'")]),
-        (LABVIEW + "X_Value\tT_base [N]\tT_tip [N]\tComment\n0,0\t5\t4,79\n0,1\t10\t9,19\n0,2\t20\t17,02\n", 13,
-         [BELOW.format(12), READ_AS.format("T_base [N]", "N", "T_tip [N]", "N"),
-          UNUSED.format("'X_Value', 'Comment'")]),
-        ("Rig: 3, tendon: steel\nMeasured by, A. N. Other\n\n" + PLAIN, 5, [BELOW.format(4)]),
-        ("# " + PLAIN, 2, []),  # as NumPy's savetxt writes a header
-        (",base_tension [N],tip_tension [N]\n0,5,4.79\n1,10,9.19\n2,20,17.02\n", 2,  # as pandas writes an index
-         [UNUSED.format("'column 1 without a name'")]),
-        ('base_tension [N],"tip_tension\n[N]",note\n5,4.79,"wet,\nand 5 °C"\n10,9.19,\n20,17.02,\n', 3,
-         [BROKEN, UNUSED.format("'note'")]),
-        (PLAIN + "30,\n,\n", 2, ["rows without a reading are left out: 1 of 4 rows (row 5 first)"]),
-        ("base_tension [N],tip_tension [N],tip_angle [deg]\n5,4.79,\n10,9.19,n/a\n20,17.02,-\n", 2,
-         ["tip_angle holds no number and is not used"]),
+         "10,9.19\n20,17.02\n", 7),
+        ("t;base_tension;tip_tension [N]\ns;[N];\n0;5;4,79\n1;10;9,19\n2;20;17,02\n", 3),
+        (LABVIEW + "X_Value\tT_base [N]\tT_tip [N]\tComment\n0,0\t5\t4,79\n0,1\t10\t9,19\n0,2\t20\t17,02\n", 13),
+        ("Rig: 3, tendon: steel\nMeasured by, A. N. Other\n\n" + PLAIN, 5),
+        (",base_tension [N],tip_tension [N]\n0,5,4.79\n1,10,9.19\n2,20,17.02\n", 2),  # as pandas writes an index
+        ('base_tension [N],"tip_tension\n[N]",note\n5,4.79,"wet,\nand 5 °C"\n10,9.19,\n20,17.02,\n', 3),
+        (PLAIN + "30,\n,\n", 2),
+        ("base_tension [N],tip_tension [N],tip_angle [deg]\n5,4.79,\n10,9.19,n/a\n20,17.02,-\n", 2),
     ],
 )  # fmt: skip
-def test_each_file_gives_the_numbers_of_the_plain_one(tmp_path, content, first_row, read_as):
+def test_each_file_gives_the_numbers_of_the_plain_one(tmp_path, content, first_row):
     plain, table = read(tmp_path, PLAIN, name="plain.csv"), read(tmp_path, content)
     assert table.checksum == plain.checksum
     assert table.rows[0] == first_row
-    assert table.read_as == tuple(f"bench.csv: {line}" for line in read_as)
+
+
+def test_how_a_file_was_read_is_said(tmp_path):
+    head = "Prüfstand 3\nZeit [s],Tbase,T_tip (N)\n,N,\n".encode("latin-1")
+    table = read(tmp_path, head + b"0,5,4.79\n1,10,9.19\n2,20,\n")
+    assert table.read_as == (
+        "bench.csv: the file is not UTF-8; it was read as Windows-1252 (Latin-1)",
+        "bench.csv: the header is row 2; the text above it from row 1 on is taken for notes",
+        "bench.csv: row 3 holds the units",
+        "bench.csv: read as: 'Tbase' base_tension [N], 'T_tip (N)' tip_tension [N]",
+        "bench.csv: columns that are not used: 'Zeit [s]'",
+        "bench.csv: rows without a reading are left out: 1 of 3 rows (row 6 first)",
+    )
     assert str(table).splitlines()[1:] == list(table.read_as)
 
 
@@ -122,31 +103,6 @@ def test_rows_are_counted_as_in_the_file(tmp_path):
 
 
 # --- which column --------------------------------------------------------------------------------
-
-
-MEANT = {
-    "base_tension": ("base_tension", "Tbase", "T_base_1"),
-    "base_tension_2": ("T base 2",),
-    "tip_tension_2": ("Tip Tension-02",),
-    "tip_x": ("X tip",),
-    "trial": ("Trial No.",),
-    "direction_2": ("Direction2",),
-    "time": ("Time",),
-    "step": ("Step No.",),
-    None: ("tip_x_2", "T_base_0", "F_tip", "angle", "clock"),  # F_tip is a load or a tension
-}
-RESEMBLED = {
-    "tip_tension": ("tip_tensoin",),
-    "direction": ("directon",),
-    "base_tension": ("T_base_0",),
-    None: ("tip_z", "tip_force_z", "base_tension_set", "time", "comment"),
-}
-
-
-@pytest.mark.parametrize(("find", "names_of"), [(column_meant, MEANT), (column_resembled, RESEMBLED)])
-def test_the_column_that_a_name_means_or_resembles(find, names_of):
-    for column, names in names_of.items():
-        assert {name: find(name) for name in names} == dict.fromkeys(names, column)
 
 
 def test_columns_by_their_names_in_the_file(tmp_path):
@@ -274,14 +230,6 @@ def test_further_readings_are_named(tmp_path):
     assert "tip_angle" in read(tmp_path, text, options_in(read_as[-1]))
 
 
-def test_misspelt_names_are_named_with_their_units(tmp_path):
-    said = refused(read, tmp_path, "base_tensoin [kN],tip_tensoin\n5,4\n")
-    assert "row 1: unknown column 'base_tensoin', 'tip_tensoin'; did you mean base_tension, tip_tension? Rename" in said
-    give, _, leave = said.partition(", or leave it out by ")
-    assert options_in(give) == {"base_tensoin [kN]": "base_tension [kN]", "tip_tensoin": "tip_tension [N]"}
-    assert options_in(leave) == {"base_tensoin": "", "tip_tensoin": ""}
-
-
 def test_a_column_that_was_asked_for_and_cannot_be_used_is_an_error(tmp_path):
     cells = write(tmp_path, "base_tension [N],tip_tension [N],A [deg],A [rad]\n5,4,,\n")
     for asked in ("A [deg]=tip_angle [deg]", "B=tip_angle [deg]", "C="):
@@ -357,21 +305,6 @@ def repacked(content, *changes):
     return changed.getvalue()
 
 
-def test_a_missing_reader_of_spreadsheets_is_named(tmp_path, monkeypatch):
-    content = spreadsheet(Run=[["base_tension [N]"], [5]])
-    monkeypatch.setitem(sys.modules, "openpyxl", None)
-    with pytest.raises(InputError, match=r"bench.xlsx: this needs openpyxl; .*pip install 'cddf-jax\[excel\]'"):
-        read(tmp_path, content, name="bench.xlsx")
-
-
-def test_unknown_columns_of_other_tables(tmp_path):
-    """A kind of table says itself what it does with other columns."""
-    kind = Kind(lambda column: "length", "places", "x [mm]", meant=lambda name: name if name == "x" else None)
-    assert read_table(write(tmp_path, "x [mm], y [mm]\n1, 2\n"), kind).unused == (("y [mm]", [" 2"], None),)
-    with pytest.raises(InputError, match="row 1: unknown column 'colour', 'bore'; known are arc_length"):
-        cddf.read_cross_sections(write(tmp_path, "arc_length [mm], colour, bore [mm]\n0, red, 1\n"))
-
-
 # --- trials in files of their own ----------------------------------------------------------------
 
 
@@ -388,15 +321,6 @@ def test_files_of_the_same_columns_are_trials(tmp_path):
     assert table.read_as[0].startswith("run_2.csv: the header is row 2")
     with pytest.raises(InputError, match=r"run_2.csv: row 3, column tip_tension"):
         read_tables([paths[0], write(tmp_path, again.replace("4.81", "x").replace("5,", "\n5,", 1), "run_2.csv")])
-
-
-def test_files_of_one_name_are_distinguished(tmp_path):
-    paths = []
-    for folder in ("monday", "tuesday"):
-        (tmp_path / folder).mkdir()
-        paths.append(write(tmp_path / folder, PLAIN.replace("4.79", str(4.8 + len(paths))), "run.csv"))
-    (table,) = read_tables(paths)
-    assert [table.place(i) for i in (0, 5)] == ["row 2 of run.csv (1)", "row 4 of run.csv (2)"]
 
 
 def test_a_trial_without_any_reading_of_a_column_is_a_trial(tmp_path):
@@ -436,12 +360,6 @@ TENSIONS, ANGLES = np.array([9.1, 23.8, 34.9, 39.6]), np.array([0.16, 0.45, 0.72
 NOISE = {"tip_tension": 0.5, "tip_angle": 0.02}
 
 
-def test_the_rows_in_which_a_column_was_read():
-    table = Measurements.from_columns("gap", base_tension=PULLS, tip_tension=[9.1, np.nan, 3.0, 2.0], tip_angle=ANGLES)
-    read_in = experiment_of(table, paper_body()).read_in
-    assert {column: rows.tolist() for column, rows in read_in.items()} == {"tip_tension": [0, 2, 3]}
-
-
 @pytest.mark.slow
 def test_the_other_readings_of_a_row_count():
     """With known noise a fit is the same where the rows with and without the reading are tables of their own."""
@@ -462,13 +380,6 @@ def test_the_other_readings_of_a_row_count():
     assert one.clusters["gap: tip_tension"][1].tolist() == [0, 1, 3]
     assert np.isfinite(one.mean_relative_error)
     assert draw_residuals(one, column="tip_tension") is not None
-
-
-def test_cases_are_drawn_whole_where_a_reading_is_missing():
-    """A row that is drawn k times counts k times in each group that holds it."""
-    a, b = _count_cases(np.random.default_rng(0), 50, [("table", [0, 2]), ("table", [0, 1, 2, 3])])
-    np.testing.assert_array_equal(a, b[:, [0, 2]])
-    assert np.all(b.sum(axis=1) == 4)
 
 
 def test_a_gap_is_no_difference_between_rows():

@@ -13,7 +13,6 @@ from bodies import (
     codes,
     constant,
     draws,
-    one_kinematics_at_once,
     paper_body,
     paper_plain,
     paper_with,
@@ -69,13 +68,13 @@ def check_draw(draw, kinematics):
 
 
 @given(draw=draws("published"))
-@settings(max_examples=30)
+@settings(max_examples=20)
 def test_random_bodies_published_with_converging_offsets(draw):
     check_draw(draw, "published")
 
 
 @given(draw=draws("exact"))
-@settings(max_examples=30)
+@settings(max_examples=20)
 def test_random_bodies_exact_with_constant_offset(draw):
     check_draw(draw, "exact")
 
@@ -103,10 +102,9 @@ def test_random_bodies_exact_with_converging_offset(draw):
         assert owned < TENSION_ACCURACY
 
 
-@one_kinematics_at_once
-def test_no_false_alarm(kinematics):
+def test_no_false_alarm():
     """A solve with the accuracy above must not be called inaccurate; 200 bodies, seed 0."""
-    result = jax.vmap(solve_draw[kinematics])(stack(random_draws(kinematics, 200, seed=0))).status
+    result = jax.vmap(solve_draw["exact"])(stack(random_draws("exact", 200, seed=0))).status
     assert codes(result).count(cddf.Status.inaccurate) == 0
     assert codes(result) == [cddf.Status.successful] * 200
 
@@ -159,12 +157,6 @@ def test_printed_pair_of_tendons(direction, angle, antagonist):
     np.testing.assert_allclose(solution.tip_tension[1], antagonist, atol=0.05)
 
 
-def test_no_tension_beyond_the_body():
-    assert np.all(np.isnan(cddf.closed_form_tension(paper_body(), 75.0, np.array([-1e-6, 0.1401]))))
-    assert cddf.closed_form_tension(paper_body(), 75.0, 0.1).shape == ()
-    assert cddf.closed_form_tension(paper_body(), 75.0, np.zeros((2, 3))).shape == (2, 3)
-
-
 def test_a_tendon_anchored_before_the_tip_keeps_its_tension():
     body = paper_with(cddf.Tendon(0.01, end=0.1), kinematics="published")
     ours = cddf.closed_form_tension(body, 75.0, np.array([0.1, 0.12, 0.14]))
@@ -202,18 +194,6 @@ def test_the_pull_over_a_pulley():
     weight, mu = np.array([10.0, 10.0, 7.0, 7.0, 0.0]), np.array([0.42, 0.42, 0.42, 0.0, 0.42])
     wrap = np.pi * np.array([0.5, 1.0, 0.0, 1.0, 1.0])
     np.testing.assert_allclose(cddf.pulling_tension(weight, mu, wrap), [19.3428, 37.4144, 7.0, 7.0, 0.0], rtol=1e-5)
-
-
-def test_friction_is_the_logarithm_of_the_ratio():
-    """Eq. (5) solved for mu: ln(T / W) / theta; and two pulleys in a row are one with both wraps. 100 draws, seed 0."""
-    weight, mu, wrap, more = np.random.default_rng(0).uniform(
-        [[0.1], [0.01], [0.1], [0.1]], [[100], [1.5], [10], [3]], (4, 100)
-    )
-    pulled = cddf.pulling_tension(weight, mu, wrap)
-    np.testing.assert_allclose(np.log(pulled / weight) / wrap, mu, rtol=1e-10)
-    np.testing.assert_allclose(
-        cddf.pulling_tension(pulled, mu, more), cddf.pulling_tension(weight, mu, wrap + more), rtol=1e-12
-    )
 
 
 def test_derivatives_of_the_pull():

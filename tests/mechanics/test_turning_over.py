@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import PAPER, PlainBody, both_modes, codes, fields_at, paper_body, paper_plain, paper_with, slow_where
+from bodies import PAPER, PlainBody, both_modes, codes, fields_at, paper_body, paper_plain, paper_with
 from loaded_bodies import PlainLoads, largest_difference, loaded_reference
 from scipy.integrate import quad
 
@@ -91,10 +91,13 @@ def crossing(kinematics, case, direction):
     return solution, loaded_reference(plain(kinematics, *offsets), PULLS, direction=direction)
 
 
-@pytest.mark.parametrize("kinematics", slow_where(KINEMATICS, "exact"))
-@pytest.mark.parametrize(
-    ("case", "direction"), [*((case, (+1, -1)) for case in CROSSING), ("in the middle", (+1, +1))], ids=str
-)
+# both kinematics of the hardest two; the program of the exact ones takes long to compile
+ANTAGONISTS = [("published", case, (+1, -1)) for case in CROSSING]
+ANTAGONISTS += [("published", "in the middle", (+1, +1))]
+ANTAGONISTS += [pytest.param("exact", case, (+1, -1), marks=pytest.mark.slow) for case in ("in the middle", "twice")]
+
+
+@pytest.mark.parametrize(("kinematics", "case", "direction"), ANTAGONISTS, ids=str)
 def test_antagonists_of_changing_advantage(kinematics, case, direction):
     """The exact tendons, slanted, turn over at places of their own on either side of where the body does."""
     solution, reference = crossing(kinematics, case, direction)
@@ -144,16 +147,14 @@ def test_a_bowed_tendon_turns_over_though_the_body_does_not():
 
 # on the paper's body: base tension (N), loads, number of sign changes
 OPPOSED = {
-    "a force": (60.0, PlainLoads((0.0, -8.0)), 1),
     "a force, before the first node": (40.0, PlainLoads((0.0, -2.9104)), 1),  # at 0.3 mm; the node lies at 0.7 mm
-    "a force, near the base": (60.0, PlainLoads((1.0, -4.5)), 1),
     "a force and a moment, near the tip": (60.0, PlainLoads((0.0, 4.7), -0.51), 1),
     "a weight": (60.0, PlainLoads(gravity=(0.0, -160.0)), 1),
     "a force, a moment and a weight, twice": (10.0, PlainLoads((0.0, 1.8), -0.12, (0.0, -40.0)), 2),
 }
 
 
-@pytest.mark.parametrize("case", slow_where(OPPOSED, "a force"))
+@pytest.mark.parametrize("case", OPPOSED)
 def test_loads_against_the_tendon(case):
     tension, loads, changes = OPPOSED[case]
     body, straight = paper_body("exact", density=1070.0), paper_plain("exact")
@@ -215,18 +216,6 @@ def test_derivatives_where_each_tendon_turns_over_by_itself():
         np.testing.assert_allclose(ours, (ends[0] - ends[1]) / (2 * h), atol=1e-6)
 
 
-@pytest.mark.slow
-def test_second_derivatives_across_a_sign_change():
-    """Along two directions, against second differences of the reference: h^4 and its 1e-11 over h^2 leave 1e-5."""
-    weights, h = np.array([1.0, -0.5, 0.7, 0.3, 2.0]), 1e-2
-    hessian = np.tensordot(weights, jax.jit(jax.jacfwd(jax.jacrev(tip_of("published"))))(CENTRE), 1)
-    np.testing.assert_allclose(hessian, hessian.T, atol=1e-9)
-    for v in np.random.default_rng(6).normal(size=(2, CENTRE.size)) * CENTRE / 10:
-        a, b, c, d, e = (weights @ reference_tip("published", CENTRE + i * h * v) for i in (-2, -1, 0, 1, 2))
-        second = (-a + 16 * b - 30 * c + 16 * d - e) / (12 * h**2)
-        np.testing.assert_allclose(v @ hessian @ v, second, rtol=1e-4, atol=1e-5)
-
-
 EVEN = np.array([6.0, 6.0, 0.42, 1.4, 10.0, 10.0, 10.0, 10.0])
 
 
@@ -256,7 +245,6 @@ def test_the_kink_of_a_straight_body():
         assert (tension(sign * step) - tension(0.0)) / (sign * step) == pytest.approx(expected, rel=1e-4)
 
 
-@pytest.mark.slow
 def test_the_derivative_at_the_kink_of_a_straight_body():
     """In both modes: that of a curvature which turns positive."""
     _, forward, reverse = derivatives(EVEN)
