@@ -150,25 +150,3 @@ def test_the_library_works_without_what_the_command_line_needs(built, tmp_path):
     assert smaller == "True"
     done = subprocess.run([python.with_name("cddf"), "--help"], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (1, "", "error: " + missing.format("typer"))
-
-
-def test_the_wheel_works_in_a_clean_environment(built, tmp_path):
-    """Installed as by a user, with all packages that it declares."""
-    home = tmp_path / "clean"
-    venv.create(home, with_pip=True)
-    python = home / "bin" / "python"
-    constraints = ROOT / "constraints.txt"
-    run(
-        python,
-        "-m",
-        "pip",
-        "install",
-        "--quiet",
-        "--no-compile",
-        "--disable-pip-version-check",
-        "-c",
-        constraints,
-        f"cddf-jax[cli] @ {built[0].as_uri()}",
-    )
-    works(python, tmp_path)
-    assert "No broken requirements" in run(python, "-m", "pip", "check")

@@ -8,8 +8,6 @@ import sys
 
 import pytest
 
-import cddf_jax as cddf
-from cddf_jax import progress
 from cddf_jax.progress import SHOWN, Bar, Log, Stages, each, stage
 
 
@@ -87,33 +85,12 @@ def test_one_after_the_other(shown, lines):
     assert lines[1] == "10 s: profile 3 of 5, 0:00:15 left\n"
 
 
-def test_what_is_one_is_not_counted(shown, lines):
-    for _ in each("search from start", ["here"]):
-        at(shown, 2.0)
-    assert lines == ["2 s: search from start\n"]
-
-
 def test_lines_come_ever_more_rarely(shown, lines):
     """By a quarter of the time so far: four lines in 8 s, and 27 more in an hour, as 8 s * 1.25^27 is one."""
     with stage("solving", 10_000) as now:
         for now.done in range(3601):
             at(shown, float(now.done))
     assert 28 <= len(lines) <= 32
-
-
-def test_a_failure_ends_its_stages(shown):
-    with pytest.raises(ZeroDivisionError), stage("solving"), stage("compiling"):
-        raise ZeroDivisionError
-    assert shown.now == []
-
-
-def test_a_decorator(shown):
-    @stage("drawing")
-    def draw():
-        """Draw."""
-        return [one.what for one in shown.now]
-
-    assert (draw(), draw(), draw.__doc__) == (["drawing"], ["drawing"], "Draw.")
 
 
 def test_a_bar_on_a_terminal(capfd, clock, monkeypatch):
@@ -162,11 +139,3 @@ def test_progress_goes_to_standard_error():
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True)
     assert done.stdout == "the answer\n"
     assert done.stderr == "0 s: loading\n0 s: searching\n"
-
-
-def test_silent_unless_asked(capfd):
-    with stage("solving", 2) as now:
-        now.done += 1
-    assert progress.SHOWN.get() is None
-    assert capfd.readouterr() == ("", "")
-    assert cddf.show_progress is progress.show_progress

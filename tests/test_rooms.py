@@ -155,19 +155,6 @@ def test_annotations_hide_no_circle():
     assert hidden <= IN_ANNOTATIONS
 
 
-@pytest.mark.parametrize(("name", "imported"), sorted(ON_DEMAND))
-def test_what_is_imported_on_demand_is_not_imported_at_once(name, imported):
-    assert imported in our_imports(name)
-    at_once = [node for node in tree_of(name).body if is_ours(node)]
-    assert imported not in {found for node in at_once for found in imported_by(name, node)}
-
-
-@pytest.mark.parametrize("room", ROOMS)
-def test_a_room_says_what_it_is_for(room):
-    assert (ast.get_docstring(tree_of(f"{room}/__init__")) or "").splitlines()[0].endswith((".", "`"))
-    assert not [path for path in (SOURCE / room).iterdir() if path.is_dir() and path.name != "__pycache__"]
-
-
 def test_the_package_has_these_rooms_and_few_modules_beside_them():
     assert {room_of(name) for name in FILES} - {""} == set(ROOMS)
     assert len([name for name in FILES if not room_of(name)]) <= 6
@@ -241,22 +228,6 @@ def test_every_public_name_is_there_and_no_module_bears_it():
         assert getattr(cddf, name) is getattr(cddf, name)
     with pytest.raises(AttributeError, match="No cddf_jax attribute nothing"):
         _ = cddf.nothing
-
-
-def test_no_module_starts_threads_when_it_is_imported():
-    """Nor keeps a pool of them, which would be shut down with the first that uses it."""
-    program = """
-import importlib, pkgutil, threading
-from concurrent.futures import Executor
-before = threading.enumerate()
-import cddf_jax
-for module in pkgutil.walk_packages(cddf_jax.__path__, "cddf_jax."):
-    names = vars(importlib.import_module(module.name))
-    kept = [item for value in names.values() for item in (value if isinstance(value, (list, tuple)) else [value])]
-    assert not any(isinstance(item, (Executor, threading.Thread)) for item in kept), module.name
-    assert set(threading.enumerate()) <= set(before), module.name
-"""
-    subprocess.run([sys.executable, "-c", program], check=True, timeout=600)
 
 
 def test_one_name_is_one_thing():

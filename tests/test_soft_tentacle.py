@@ -165,8 +165,7 @@ ACCURATE = 1e-6 * 0.36
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kinematics", ["published", "exact"])
-def test_marker_by_scipy(poses, kinematics):
+def test_marker_by_scipy(poses):
     """One pose: the last marker, which lies 8 mm ahead of the tip; and the tip, its angle and the tension there."""
     table, body = STUDY.in_plane(poses), STUDY.body_in_plane(ROBOT, kinematics)
     body = replace(body, youngs_modulus=MODULUS[kinematics], friction_coefficient=0.2)

@@ -66,14 +66,6 @@ def test_derivatives_are_those_of_the_closed_form(function, value, slope, bend):
     assert_allclose(found[3:], [bend] * 4, rtol=1e-12)
 
 
-def test_a_root_without_derivatives_costs_nothing():
-    def never(a, values, x):
-        raise AssertionError("the residual was traced")
-
-    program = jax.make_jaxpr(lambda a: implicit(Partial(never, a), jnp.ones(3), jnp.ones(1)))(2.0)
-    assert "mul" not in str(program)
-
-
 def test_what_does_not_move_has_no_slope():
     """Two unknowns, of which one follows a and one does not: x = (a, 3), and as a fixed point y = (a, 3) as well."""
 

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from cddf_jax.numerics.rotations import as_matrix, first_axis, in_fixed_frame, in_own_frame, solve_three
+from cddf_jax.numerics.rotations import as_matrix, first_axis, in_fixed_frame, in_own_frame
 
 RNG = np.random.default_rng(3)
 LONG = RNG.normal(size=(7, 4))  # not of length 1
@@ -17,12 +17,3 @@ def test_vectors_are_rotated_as_by_scipy():
     assert_allclose(in_own_frame(LONG, VECTORS), SCIPY.inv().apply(VECTORS), rtol=1e-13, atol=1e-14)
     assert_allclose(as_matrix(LONG), SCIPY.as_matrix(), rtol=1e-13, atol=1e-14)
     assert_allclose(first_axis(LONG), SCIPY.as_matrix()[..., 0], rtol=1e-13, atol=1e-14)
-
-
-def test_own_and_fixed_frame_are_inverse():
-    assert_allclose(in_own_frame(LONG, in_fixed_frame(LONG, VECTORS)), VECTORS, rtol=1e-13)
-
-
-def test_three_equations():
-    matrix = RNG.normal(size=(3, 3))
-    assert_allclose(solve_three(matrix, VECTORS[0]), np.linalg.solve(matrix, VECTORS[0]), rtol=1e-12)

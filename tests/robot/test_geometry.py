@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import PAPER, paper_body, paper_with, two_slanted_tendons
+from bodies import PAPER, paper_body, paper_with
 from scipy.integrate import dblquad
 
 import cddf_jax as cddf
@@ -33,15 +33,6 @@ def test_conical_tapers_linearly():
     np.testing.assert_allclose(body.outer_radius(S), np.linspace(0.020, 0.013, 8), rtol=ROUNDING)
     np.testing.assert_allclose(body.inner_radius(S), np.linspace(0.008, 0.006, 8), rtol=ROUNDING)
     np.testing.assert_allclose(body.offset(S), [np.linspace(0.011, 0.009, 8)], rtol=ROUNDING)
-
-
-def test_conical_takes_single_numbers_and_two_tendons():
-    body = paper_body(outer_radius=0.02, num_tendons=2)
-    assert [tendon.side for tendon in body.tendons] == [+1, -1]
-    assert body.num_tendons == 2
-    np.testing.assert_array_equal(body.offset(S), np.full((2, 8), 0.010))
-    assert body.offset(0.1).shape == (2,)
-    assert body.second_moment(S).shape == (8,)
 
 
 def test_defaults_are_exact_kinematics_and_the_friction_of_the_manipulator():
@@ -86,12 +77,6 @@ def test_numbers_can_be_traced_and_mapped():
     np.testing.assert_allclose(jax.vmap(tip_stiffness, (0, None))(radii, 1.4e6), expected, rtol=ROUNDING)
     slope = jax.grad(tip_stiffness)(0.013, 1.4e6)
     np.testing.assert_allclose(slope, 1.4e6 * np.pi * 0.013**3, rtol=ROUNDING)
-
-
-def test_mapping_over_the_leaves_of_a_manipulator():
-    bodies = jax.tree.map(lambda x: jnp.stack([x, 2 * x]), two_slanted_tendons())
-    doubled = jax.vmap(lambda body: body.second_moment(0.0))(bodies)
-    np.testing.assert_allclose(doubled[1], 16 * doubled[0], rtol=ROUNDING)  # a length to the fourth power
 
 
 @pytest.mark.parametrize("count", [0, 3, "two"])

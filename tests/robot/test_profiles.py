@@ -44,21 +44,6 @@ def test_spline_over_random_knots_is_that_of_scipy(gaps, seed):
     np.testing.assert_allclose(spline_at(knots, values, s), expected, atol=1e-9 * np.max(np.abs(expected)), rtol=0)
 
 
-def test_spline_meets_a_cubic_exactly():
-    def cubic(s):
-        return 1.0 - 2.0 * s + 3.0 * s**2 - 4.0 * s**3
-
-    s = np.linspace(0, 0.14, 33)
-    np.testing.assert_allclose(cddf.Spline(KNOTS[:4], cubic(KNOTS[:4]))(s), cubic(s), rtol=1e-10)
-
-
-def test_spline_is_linear_in_its_values():
-    """The derivative by the values is the spline through the unit vectors (SciPy's)."""
-    jacobian = jax.jit(jax.jacrev(lambda values: cddf.Spline(KNOTS, values)(jnp.asarray(0.042))))(jnp.asarray(HEIGHTS))
-    expected = [CubicSpline(KNOTS, row, bc_type="not-a-knot")(0.042) for row in np.eye(KNOTS.size)]
-    np.testing.assert_allclose(jacobian, expected, atol=ROUNDING)
-
-
 def test_a_plain_function_holds_no_numbers_and_serves_jax_as_any_profile():
     """So that a body is a pytree of numbers; the expected tensions are those of the same line as a `Linear`."""
 

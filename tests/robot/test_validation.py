@@ -67,15 +67,9 @@ def test_scaled_cones_pass_in_either_precision(length, taper, bore, place, dtype
         (replace(BODY, length=0.0), "length must be above 0, got 0 m; correct its value"),
         (replace(BODY, youngs_modulus=-1.4e6), "youngs_modulus must be above 0, got -1.4e+06 Pa; correct its value"),
         (replace(BODY, friction_coefficient=-0.1), "friction_coefficient must be 0 or more, got -0.1; correct its"),
-        (replace(BODY, density=-1.0), "density must be 0 or more, got -1 kg/m^3; correct its value"),
-        (replace(BODY, yield_strain=0.0), "yield_strain must be above 0, got 0; correct its value"),
         (replace(BODY, youngs_modulus=np.nan), "youngs_modulus must be finite, got nan; correct its value"),
-        (with_offset(np.inf), "tendons[0].offset.value must be finite, got inf; correct its value"),
         (with_offset(0.01, friction_coefficient=-0.2), "tendon 1: friction_coefficient must be 0 or more, got -0.2;"),
-        (with_offset(0.01, end=0.0), "tendon 1: end must be above 0, got 0 m; correct its value"),
         (with_offset(0.01, axial_stiffness=0.0), "tendon 1: axial_stiffness must be above 0, got 0 N; correct its"),
-        (with_offset(0.01, axial_stiffness=np.inf), "tendons[0].axial_stiffness must be finite, got inf; correct"),
-        (with_offset(0.01, free_length=-0.1), "tendon 1: free_length must be 0 or more, got -0.1 m; correct its value"),
         (
             with_offset(0.01, end=0.15),
             "tendon 1: end at s = 150 mm lies beyond the tip at 140 mm; anchor it on the body, or leave end out for "
@@ -86,10 +80,6 @@ def test_scaled_cones_pass_in_either_precision(length, taper, bore, place, dtype
             replace(BODY, inner_radius=0.015),
             "outer_radius must exceed inner_radius: at s = 100.1 mm they are 14.995 mm and 15 mm; "
             "make the wall thicker there or shorten the body",
-        ),
-        (
-            replace(BODY, inner_radius=cddf.Linear(0.001, -0.001, 0.14)),  # negative beyond 70 mm
-            "inner_radius must be 0 or more: at s = 70.14 mm it is -0.002 mm; enlarge it there",
         ),
         (
             replace(BODY, outer_radius=cddf.Linear(0.02, 0.013, 0.0)),  # 0 / 0
@@ -106,21 +96,12 @@ def test_scaled_cones_pass_in_either_precision(length, taper, bore, place, dtype
             "from 7 mm to 14.995 mm; move the tendon, or allow it with offsets_outside_wall",
         ),
         (
-            replace(BODY, tendons=(cddf.Tendon(0.01), cddf.Tendon(0.005, -1))),
-            "tendon 2: offset must lie inside the wall: at s = 0 mm it is 5 mm and the wall runs from 7 mm to 20 mm; "
-            "move the tendon, or allow it with offsets_outside_wall",
-        ),
-        (
             with_offset(cddf.Piecewise([0.07], [cddf.Constant(0.01), cddf.Constant(0.011)])),
             "tendon 1: offset must not jump: at s = 70 mm it goes from 10 mm to 11 mm; make the pieces meet",
         ),
         (
             replace(BODY, outer_radius=cddf.Piecewise([0.1, 0.05], 3 * [cddf.Constant(0.02)])),
             "outer_radius: its knots must increase, got 100 mm before 50 mm; sort them",
-        ),
-        (
-            with_offset(cddf.Piecewise([0.1], [cddf.Constant(0.01), cddf.Spline([0, 0.1, 0.1, 0.2], 4 * [0.01])])),
-            "tendon 1: offset: its knots must increase, got 100 mm before 100 mm; sort them",
         ),
         (replace(BODY, outer_radius=lambda s: 0.02), "outer_radius must give one value per arc length, got shape ()"),
         (
@@ -154,27 +135,12 @@ def test_traced_numbers_are_a_type_error(transformation):
         transformation(validated)(jnp.array([1.4e6]))
 
 
-def test_a_body_of_the_published_kinematics_passes():
-    """It stays in the plane, where tendons on one side may lie in one place."""
-    body = replace(
-        BODY, kinematics="published", tendons=(cddf.Tendon(0.010), cddf.Tendon(0.010), cddf.Tendon(0.010, -1))
-    )
-    assert body.validate() is body
-
-
 def test_crossing_is_described_where_it_is_worst():
     # no friction, constant wall: kappa = T d / (E J + T d^2) (published), so d kappa = x / (1 + x), x = T d^2 / (E J)
     body = replace(BODY, outer_radius=0.020, friction_coefficient=0.0, kinematics="published")
     x = 900 * 0.01**2 / (1.4e6 * np.pi / 4 * (0.020**4 - 0.007**4))
     text = describe_crossing(cddf.solve(body, 900.0, throw=False))
     assert text == f"tendon 1: offset * curvature is {x / (1 + x):.3g} at s = 0 mm"
-
-
-def test_crossing_names_the_tendon_and_the_narrow_end():
-    body = replace(BODY, friction_coefficient=0.0, tendons=(cddf.Tendon(0.012, -1, end=0.1), cddf.Tendon(0.008, +1)))
-    text = describe_crossing(cddf.solve(body, [0.0, 60.0], throw=False))
-    assert text.startswith("tendon 2: offset * curvature is 0.")
-    assert text.endswith("at s = 140 mm")  # J is smallest at the tip, and T is constant
 
 
 # --- in space ------------------------------------------------------------------------------------
@@ -221,10 +187,6 @@ def test_sound_bodies_in_space_pass(body):
             replace(BODY, tendons=(cddf.Tendon(0.010), cddf.Tendon(0.010, angle=helix(0.5, -TURN / 4)))),
             "tendons 1 and 2 must not touch or cross: at s = 70 mm both lie 10 mm from the axis at 0 deg; change an",
         ),
-        (
-            replace(BODY, tendons=(cddf.Tendon(0.010, angle=TURN / 2), cddf.Tendon(0.010, -1))),
-            "tendons 1 and 2 must not touch or cross: at s = 0 mm both lie 10 mm from the axis at 180 deg; change an",
-        ),
         (  # 10 turns against 10 turns, from half a turn apart: first together after 1/40 of the length
             in_space((0.010, helix(10)), (0.010, helix(-10, TURN / 2))),
             "tendons 1 and 2 must not touch or cross: at s = 3.5 mm both lie 10 mm from the axis at 90 deg;",
@@ -241,39 +203,18 @@ def test_sound_bodies_in_space_pass(body):
             in_space((0.010, lambda s: jnp.log(s - AT_70_MM + 1e-9))),
             "tendon 1: angle must be finite: at s = 0 mm it is nan; correct the profile there",
         ),
-        (in_space((0.010, lambda s: 0.0)), "tendon 1: angle must give one value per arc length, got shape ()"),
-        (in_space((0.010, np.inf)), "tendons[0].angle.value must be finite, got inf; correct its value"),
-        (
-            in_space((-0.010, 0.0)),
-            "tendon 1: offset must be 0 or more: at s = 0 mm it is -10 mm; give the distance from the neutral axis, "
-            "and the side by its angle",
-        ),
-        (
-            in_space((0.015, 0.0)),  # the outer radius falls to 15 mm at s = 100 mm
-            "tendon 1: offset must lie inside the wall: at s = 100.1 mm it is 15 mm and the wall runs from 7 mm to "
-            "14.995 mm; move the tendon, or allow it with offsets_outside_wall",
-        ),
         (
             in_space((0.01, 0.0), poissons_ratio=45.0),  # percent
             "poissons_ratio must be above -1 and at most 5, got 45; correct its value, or give torsional_stiffness",
         ),
         (in_space((0.01, 0.0), axial_factor=0.0), "axial_factor must be above 0, got 0; correct its value"),
-        (in_space((0.01, 0.0), poissons_ratio=-1.0), "poissons_ratio must be above -1 and at most 5, got -1;"),
         (
             in_space((0.01, 0.0), torsional_stiffness=cddf.Linear(0.02, -0.01, 0.14)),  # 0 after 2/3
             "torsional_stiffness must be above 0: at s = 93.38 mm it is -1e-05 N m^2; correct it there",
         ),
         (
-            in_space((0.01, 0.0), extensible=True, axial_stiffness=0.0),
-            "axial_stiffness must be above 0: at s = 0 mm it is 0 N; correct it there",
-        ),
-        (
             in_space((0.01, 0.0), extensible=True, shear_stiffness=-5.0),
             "shear_stiffness must be above 0: at s = 0 mm it is -5 N; correct it there",
-        ),
-        (
-            in_space((0.01, 0.0), rest_curvature=(0.0, lambda s: 1.0, 0.0)),
-            "rest_curvature about y must give one value per arc length, got shape ()",
         ),
         (
             in_space((0.01, 0.0), rest_curvature=(lambda s: jnp.sqrt(s - AT_70_MM), 0.0, 0.0)),

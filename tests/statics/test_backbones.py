@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import PAPER, both_modes, codes, paper_body
+from bodies import both_modes, codes, paper_body
 from refusals import refused
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
@@ -117,13 +117,6 @@ def test_derivatives_by_masses_places_and_stiffness():
         np.testing.assert_allclose(forward[:, i], expected, rtol=1e-4, atol=1e-5 * scale, err_msg=name)
 
 
-@pytest.mark.slow
-def test_the_energy_balance_lifts_the_masses():
-    balance = cddf.energy_balance(robot(), PULL, loads(), num_steps=8)
-    assert abs(balance.residual) < 1e-6 * balance.actuation_work[0]
-    assert balance.load_work > 0.2 * balance.actuation_work[0]
-
-
 # --- the same body, described in another way --------------------------------------------------------
 
 
@@ -215,58 +208,6 @@ def test_a_body_without_radii():
     np.testing.assert_allclose(with_radii.distributed_mass(0.1), 1000 * np.pi * 1e-4, rtol=1e-12)
 
 
-def test_the_mass_of_a_design():
-    from cddf_jax.designing.body_quantities import BODY_QUANTITIES, BodyView
-
-    cone = paper_body("exact", density=1070.0)
-    volume = np.pi * quad(lambda s: (0.020 - 0.05 * s) ** 2 - 0.007**2, 0, 0.14)[0]
-    bare = BODY_QUANTITIES["mass"].of(BodyView(cone, np.zeros(1)))
-    np.testing.assert_allclose(bare, 1070 * volume, rtol=1e-12)
-    found = BODY_QUANTITIES["mass"].of(BodyView(robot(), np.zeros(1)))
-    np.testing.assert_allclose(found, 0.15 * 0.8 * L + 0.030, rtol=1e-12)  # a line from 100 to 60 %, and the points
-
-
-def beside_radii(**changes: Any) -> cddf.Manipulator:
-    """Radii for drawing and strain, that do not stiffen."""
-    told = {"length": L, "tendons": (cddf.Tendon(0.006),), "friction_coefficient": 0.2, "bending_stiffness": 0.02}
-    return cddf.Manipulator(**told | {"outer_radius": cddf.Linear(0.01, 0.008, L), "inner_radius": 0.002} | changes)
-
-
-def checked(body: cddf.Manipulator, name: str, output: str = "tip_tension", **loads: Any) -> None:
-    from cddf_jax.sweeping.axes import dimensions_of
-    from cddf_jax.sweeping.checks import check_sweep
-    from cddf_jax.sweeping.sweep import Sweep
-
-    varied, given = dimensions_of({name: [0.006, 0.007]}), cddf.Loads(**loads) if loads else None
-    check_sweep(Sweep(manipulator=body, dimensions=varied, base_tension=1.0, loads=given, outputs=(output,)))
-
-
-def test_radii_that_change_nothing_do_not_vary():
-    body, fall = beside_radii(), {"gravity": (0.0, -9.81)}
-    for name in ("outer_radius.tip", "inner_radius.value"):
-        message = f"{name!r} has no effect here; the bending_stiffness of this body is given"
-        assert message in refused(lambda name=name: checked(body, name))
-        checked(beside_radii(density=1000.0), name, **fall)  # they weigh
-        assert message in refused(lambda name=name: checked(beside_radii(mass_per_length=0.1), name, **fall))
-        checked(beside_radii(bending_stiffness=None, youngs_modulus=1e6), name)  # they stiffen
-    checked(body, "outer_radius.tip", "peak_strain")
-    assert "has no effect" in refused(lambda: checked(body, "inner_radius.value", "peak_strain"))
-    cddf.sweep(body, {"outer_radius.tip": [0.006]}, 1.0, outputs=["peak_strain"], nodes=4)
-    assert "has no effect" in refused(lambda: cddf.sweep(body, {"outer_radius.tip": [0.006]}, 1.0))
-
-
-def test_the_explorer_offers_no_taper_that_bends_nothing():
-    from cddf_jax.explorer.controls import RADII
-    from cddf_jax.explorer.model import Exploration
-
-    given, of_radii = (
-        Exploration(b) for b in (beside_radii(), beside_radii(bending_stiffness=None, youngs_modulus=1e6))
-    )
-    assert not set(RADII) & {control.name for control in given.controls}
-    assert set(RADII) <= {control.name for control in of_radii.controls}
-    assert given.case(given.start).manipulator.outer_radius is given.manipulator.outer_radius
-
-
 def test_the_strain_without_a_wall_is_refused():
     message = "peak_strain: the body has no outer_radius; give it both radii"
     assert message in refused(lambda: cddf.sweep(robot(), {"base_tension": [1.0]}, outputs=["peak_strain"]))
@@ -287,22 +228,6 @@ def test_gravity_on_a_body_without_mass_is_refused():
 
 
 # --- names and sweeps -------------------------------------------------------------------------------
-
-
-def test_numbers_have_names_and_units():
-    from cddf_jax.statics.named_numbers import Case, unit_of_name
-
-    case = Case(robot(), 1.0, loads(), 1.0)
-    named = {"point_masses.0.mass": 0.020, "point_masses.1.arc_length": L, "bending_stiffness.base": 0.02}
-    assert {name: float(case.number(name)) for name in named} == named
-    units = ["point_masses.0.mass", "point_masses.1.arc_length", "bending_stiffness.base", "mass_per_length.tip"]
-    assert [unit_of_name(name) for name in units] == ["kg", "m", "N m^2", "kg/m"]
-    assert unit_of_name("bending_stiffness.length") == "m"
-    longer = case.with_numbers({"length": 2 * L}).manipulator
-    assert float(longer.point_masses[0].arc_length) == 0.16
-    np.testing.assert_allclose(longer.stiffness(0.2), 0.9 * 0.02 * 0.8, rtol=1e-12)
-    for name in ("youngs_modulus", "outer_radius"):
-        assert f"{name}: the body has none" in refused(lambda name=name: case.number(name))
 
 
 # --- files ------------------------------------------------------------------------------------------
@@ -408,21 +333,3 @@ def test_a_factor_on_the_stiffness_is_fitted_where_there_is_no_modulus(tmp_path)
     assert "changes nothing where bending_stiffness is given" in refused(
         lambda: cddf.fit(body, fit.tables, ("outer_radius_error",))
     )
-
-
-@pytest.mark.slow
-def test_tensions_determine_friction_over_the_factor(tmp_path):
-    fit = cddf.fit(robot(Numbers(factor=None)), bench_of("tip_tension [N]", tmp_path))
-    assert set(fit.status.values()) == {"not identified"}
-    value, error, _ = fit.combinations["friction_coefficient / stiffness_factor"]
-    assert abs(value - MU / 2) < 3 * error < 0.01
-    assert "Tensions of one tendon determine only friction_coefficient / stiffness_factor." in str(fit)
-
-
-def test_the_paper_has_a_modulus_that_is_fitted():
-    from cddf_jax.identification.parameters import free_parameters
-
-    modulus = PAPER["youngs_modulus"]
-    assert free_parameters(paper_body(), None) == ("friction_coefficient", "youngs_modulus")
-    varying = paper_body(youngs_modulus=cddf.Linear(modulus, 1e6, 0.14))
-    assert free_parameters(varying, None) == ("friction_coefficient", "stiffness_factor")

@@ -42,14 +42,6 @@ def test_a_tube_touches_itself_from_a_full_circle_on(angle):
     assert found.distance < 2 * RADIUS
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("angle", "touches"), [(350.0, False), (365.0, True)])
-def test_the_same_tube_in_space(angle, touches):
-    """Bent to a circle in an inclined plane, 0.7 rad about the axis: it touches itself as in the plane."""
-    body = replace(ROD, tendons=(cddf.Tendon(OFFSET, angle=0.7),))
-    assert (cddf.self_contact(bent(angle, body)) is not None) == touches
-
-
 @pytest.mark.parametrize(("bend", "touches"), [(0.9, True), (1.1, False)])
 def test_a_hairpin_whose_legs_lie_on_each_other(bend, touches):
     """Stiff leg, soft half turn, stiff leg: the legs are two bend radii apart, two radii of the rod touch."""
@@ -116,14 +108,3 @@ def test_a_failed_solve_has_no_strain_and_no_contact():
     assert np.isnan(eq.peak_strain)
     assert cddf.self_contact(eq) is None
     assert eq.remarks == ()
-
-
-def test_a_batch_is_refused():
-    batch = jax.vmap(lambda t: cddf.solve(ROD, t))(np.array([1.0, 2.0]))
-    with pytest.raises(ValueError, match="needs one equilibrium"):
-        cddf.self_contact(batch)
-    with pytest.raises(ValueError, match="needs one equilibrium"):
-        _ = batch.remarks
-    for strain in ("peak_strain", "peak_strain_at"):
-        with pytest.raises(ValueError, match="peak_strain: needs one equilibrium, not a batch"):
-            getattr(batch, strain)

@@ -12,7 +12,6 @@ from loaded_bodies import (
     dense_residual,
     largest_difference,
     loaded_reference,
-    smallest_tangent_eigenvalue,
     tangent,
 )
 from scipy.optimize import brentq
@@ -22,7 +21,6 @@ import cddf_jax as cddf
 
 LENGTH = PAPER["length"]
 AGREES = 1e-9  # the reference integrates with a relative tolerance of 1e-11 per step
-DISCRETE = 3e-4  # relative: 120 cells of equal width, of second order
 
 
 def solved(loads: PlainLoads, tension=0.0, body=None, direction=+1):
@@ -59,7 +57,7 @@ COLUMNS = {
 
 
 @pytest.mark.parametrize("column", COLUMNS)
-@pytest.mark.parametrize("fraction", [0.5, 0.999, 1.001, 2.0, 12.0])
+@pytest.mark.parametrize("fraction", [0.999, 1.001, 12.0])
 def test_a_straight_column_is_stable_up_to_its_critical_load(column, fraction):
     """Euler: pi^2 E J / (4 L^2). Greenhill: 7.837 E J / L^3 per length. Beyond, straight is unstable."""
     assert abs(GREENHILL * 0.2**3 * 1000.0 * np.pi * 0.004**2 / RIGIDITY - 7.837) < 1e-3
@@ -72,36 +70,12 @@ def test_a_straight_column_is_stable_up_to_its_critical_load(column, fraction):
     assert solution.load_fraction == 1.0
 
 
-@pytest.mark.parametrize("column", COLUMNS)
-@pytest.mark.parametrize("fraction", [0.97, 1.03])
-def test_the_smallest_eigenvalue_says_the_same(column, fraction):
-    """That of the dense tangent, whose own critical load is DISCRETE off."""
-    loads = COLUMNS[column](fraction)
-    solution = solved(loads, body=rod())
-    least = smallest_tangent_eigenvalue(PLAIN_ROD, 0.0, loads, 1000.0, +1, solution)
-    assert bool(solution.stable) == (least > 0)
-    assert abs(least) > 10 * DISCRETE * RIGIDITY
-
-
 def test_a_buckled_column_is_raised_and_keeps_its_numbers():
     with pytest.raises(cddf.SolveError, match="The equilibrium is unstable"):
         cddf.solve(rod(), 0.0, cddf.Loads(tip_force=(-1.1 * EULER, 0.0)))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("fraction", [0.95, 1.05])
-def test_equal_tendons_stiffen_a_column_in_the_published_kinematics(fraction):
-    """E J kappa = sum sigma d T (1 - sigma d kappa): 2 T d^2 adds to E J, docs/theory.md."""
-    tension = 0.3 * RIGIDITY / 0.002**2
-    critical = buckling_force(RIGIDITY + 2 * tension * 0.002**2, 0.2)
-    assert critical > 1.5 * EULER
-    pair = cddf.conical(**ROD, youngs_modulus=1e6, friction_coefficient=0.3, num_tendons=2, kinematics="published")
-    solution = solved(PlainLoads((-fraction * critical, 0.0)), tension, pair)
-    assert bool(solution.stable) == (fraction < 1)
-    np.testing.assert_allclose(solution.curvature, 0.0, atol=1e-9)
-
-
-@pytest.mark.parametrize("fraction", [1.02, 1.5, 3.0])
+@pytest.mark.parametrize("fraction", [1.02, 3.0])
 def test_a_slightly_bent_column_leaves_the_straight_line(fraction):
     """With a hundredth of the critical force across, the path turns aside and stays stable."""
     loads = PlainLoads((-fraction * EULER, 0.01 * fraction * EULER))
@@ -138,7 +112,6 @@ HARD = {
     # tension (N), force in E J / L^2, its angle (degrees), least number of steps, least tip angle (degrees)
     "against the tendon": (60.0, 4.0, 240.0, 3, -180.0),
     "curled past 170 degrees": (60.0, 8.0, 180.0 + 20.0, 4, 165.0),
-    "across and beyond": (75.0, 2.0, 140.0, 1, 90.0),
     "turned over, steeply": (30.0, 4.0, 205.0, 5, -180.0),
 }
 
@@ -163,7 +136,7 @@ def test_the_end_of_the_path(case):
 # --- where the path ends -------------------------------------------------------------------------
 
 # bent up by the tendon and pressed down and back, the body snaps through
-SNAPPING = {"60 N": (60.0, pressed(4.0, 213.5)), "75 N": (75.0, pressed(4.0, 221.0))}
+SNAPPING = {"60 N": (60.0, pressed(4.0, 213.5))}
 
 
 def limit(plain, tension, loads):
@@ -198,7 +171,6 @@ def test_a_body_that_snaps(case):
 JUMPS = {
     # tension (N), force in E J / L^2, its angle: the path turns aside from the unstable branch, or ends
     "10 N": (10.0, 6.0, 185.0),
-    "20 N": (20.0, 6.0, 191.0),
     "45 N, a fold": (45.0, 4.0, 206.0),
 }
 
@@ -217,8 +189,3 @@ def test_a_step_does_not_leap_to_another_branch(case):
         return
     assert solution.status == cddf.Status.successful
     assert largest_difference(solution, reference, plain) < AGREES
-
-
-def test_the_tension_that_holds_a_load():
-    """The message's advice: with 90 N in place of 60 N the same load is carried."""
-    assert solved(SNAPPING["60 N"][1], 90.0).status == cddf.Status.successful

@@ -92,13 +92,6 @@ def test_a_load_that_opposes_and_is_overcome():
     assert fine.load_work == pytest.approx(lifted, rel=1e-12)
 
 
-@pytest.mark.slow
-def test_without_friction_nothing_is_lost():
-    balance = cddf.energy_balance(parallel_tendons(friction_coefficient=0.0), ONE_PULLS, LOADS, direction=IN_OUT)
-    assert balance.friction_loss == pytest.approx([0.0, 0.0], abs=1e-15)
-    assert left_over(balance) < CLOSES
-
-
 def test_the_published_kinematics_have_a_residual():
     """Arm d (1 - d kappa), travel int d kappa: not consistent with virtual work (docs/theory.md)."""
     balance = cddf.energy_balance(paper_body("published"), 75.0)

@@ -86,29 +86,3 @@ def test_tendons_and_profiles():
         "tendon 3: offset 10 mm at the base, 10 mm at s = 100 mm (from 10 mm to 11 mm), side -1, "
         "friction_coefficient 0.3, end 100 mm"
     )
-
-
-def test_a_fit_of_any_function():
-    """A line through the origin: sum x y / sum x^2, its error sigma / sqrt(sum x^2), 95 % within 1.96 of them."""
-    x, y = np.array([1.0, 2.0, 3.0]), np.array([2.1, 3.9, 6.0])
-    found = cddf.least_squares_fit(lambda p: p["a"] * x, {"a": 1.0}, y, sigma=0.1)
-    value, error = np.sum(x * y) / np.sum(x**2), 0.1 / np.sqrt(np.sum(x**2))
-    ends = f"{value - 1.959964 * error:.4g} to {value + 1.959964 * error:.4g}"
-    assert str(found) == f"a = {value:.4g} +- {error:.2g} (95 %: {ends}): identified"
-
-
-def test_text_of_whatever_is_no_single_body():
-    """A batch, filtered and foreign leaves: the names and shapes."""
-    body = paper_body()
-    trees = [
-        jax.tree.map(lambda x: np.stack([x, x]), body),
-        replace(body, youngs_modulus=np.array([1e6, 2e6])),
-        replace(body, friction_coefficient=np.array([0.1, 0.2])),
-        *(jax.tree.map(lambda _, leaf=leaf: leaf, body) for leaf in (None, object(), "x")),
-        jax.eval_shape(lambda: body),
-    ]
-    for tree in trees:
-        assert str(tree).startswith("Manipulator(")
-        assert repr(tree).startswith("Manipulator(")
-    assert str(jax.tree.map(lambda _: None, cddf.solve(body, 75.0))).startswith("Equilibrium(")
-    assert str(jax.tree.map(lambda _: None, cddf.trace(body, [75.0]))).startswith("History(")

@@ -1,7 +1,7 @@
 """Derivatives in both modes and twice: against the closed form, against unrolled passes."""
 
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import jax
 import jax.numpy as jnp
@@ -278,19 +278,3 @@ def test_derivatives_without_tension_are_finite(case):
     np.testing.assert_allclose(reverse[[0, 3], 2], forward[[0, 3], 2], rtol=ACCURATE)
     assert np.all(np.isfinite(forward) & np.isfinite(reverse))
     assert np.all(np.isfinite(second))
-
-
-@pytest.mark.slow
-def test_the_fields_along_the_body_have_derivatives():
-    """T(s) by the closed form at every node."""
-
-    @jax.jit
-    @partial(jax.jacfwd, has_aux=True)
-    def fields(mu):
-        solution = cddf.solve(paper_body(friction_coefficient=mu), 75.0, throw=False)
-        return solution.tension[0], solution
-
-    slope, solution = fields(0.42)
-    G = np.array([paper_plain().compliance(s) for s in solution.arc_length])
-    expected = -(np.asarray(solution.tension[0]) ** 2) * G / 1.4e6
-    np.testing.assert_allclose(slope, expected, rtol=1e-7, atol=1e-9)

@@ -117,23 +117,6 @@ def test_a_lane_whose_load_is_beside_the_body():
             r"loads.points.0: arc_length must lie above 0 and up to the tip at 200 mm, got 300 mm; put the load on",
         ),
         (
-            lambda: cddf.solve(pair(), TENSION, cddf.Loads(points=[cddf.PointLoad(np.array([0.1, 0.1]), FORCE)])),
-            ValueError,
-            r"loads.points.0.arc_length must have shape \(\), got \(2,\)",
-        ),
-        (
-            lambda: cddf.trace(
-                pair(), [TENSION, TENSION], cddf.Loads(points=[cddf.PointLoad(np.array([0.1, 0.12]), FORCE)])
-            ),
-            ValueError,
-            r"loads.points.0.arc_length must have the shape \(\), got \(2,\)",
-        ),
-        (
-            lambda: cddf.trace(pair(), [TENSION], cddf.Loads(points=[cddf.PointLoad(0.3, FORCE)])),
-            InputError,
-            r"got 300 mm; put the load on the body",
-        ),
-        (
             lambda: cddf.trace(pair(), [TENSION], cddf.Loads(), start=cddf.trace(pair(), [TENSION], POINT)),
             ValueError,
             r"trace: start has point loads at other places; give those that do not act 0 N from rest on",

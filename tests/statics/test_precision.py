@@ -60,14 +60,6 @@ def test_without_x64_everything_is_single():
     np.testing.assert_allclose(closed, 45.122927013148, rtol=SINGLE)
 
 
-@pytest.mark.slow
-def test_the_history_of_iterates_is_single_without_x64():
-    with jax.enable_x64(False):
-        history = cddf.iteration_history(paper_body("published"), 75.0, max_updates=6)
-    assert_all_single(history)
-    assert history.num_updates == 5
-
-
 def test_the_papers_iteration_in_single_precision():
     solution = cddf.solve(single(paper_body("published")), 75.0, method=cddf.LiteralIteration())
     assert_all_single(solution)

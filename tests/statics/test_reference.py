@@ -14,7 +14,6 @@ from bodies import (
     straight,
 )
 from loaded_bodies import reference_solution
-from scipy.interpolate import CubicSpline
 
 import cddf_jax as cddf
 
@@ -66,19 +65,10 @@ def test_one_tendon(kinematics, direction):
     compare(paper_body(kinematics), paper_plain(kinematics), 30.0, direction)
 
 
-@one_kinematics_at_once
-@pytest.mark.parametrize("direction", [(+1, +1), (+1, -1), (-1, +1)], ids=str)
-def test_two_tendons(kinematics, direction):
+@pytest.mark.parametrize("direction", [(+1, +1), (-1, +1)], ids=str)
+def test_two_tendons(direction):
     tension = (75.0, 20.0) if direction[0] > 0 else (30.0, 40.0)
-    compare_pair(kinematics, PARALLEL, PARALLEL, tension, direction)
-
-
-@pytest.mark.slow
-def test_three_tendons_with_their_own_friction():
-    offsets, friction, sides = (0.010, 0.012, 0.008), (0.42, 0.1, 0.3), (+1, -1, +1)
-    tendons = [cddf.Tendon(*numbers[:2], None, numbers[2]) for numbers in zip(offsets, sides, friction, strict=True)]
-    plain = paper_plain("exact", sides, offsets=[constant(d) for d in offsets], friction=list(friction))
-    compare(paper_with(*tendons), plain, (40.0, 10.0, 15.0), (+1, -1, +1))
+    compare_pair("exact", PARALLEL, PARALLEL, tension, direction)
 
 
 KNOTS = np.array([0.0, 0.05, 0.10, LENGTH])
@@ -100,8 +90,9 @@ def bent_plain(kinematics, heights):
 
 
 @one_kinematics_at_once
-@pytest.mark.parametrize("direction", [+1, -1], ids=["in", "out"])
-@pytest.mark.parametrize(("base", "tip"), [(0.012, 0.009), (0.008, 0.0115)], ids=["converging", "diverging"])
+@pytest.mark.parametrize(
+    ("base", "tip", "direction"), [(0.012, 0.009, +1), (0.008, 0.0115, -1)], ids=["converging", "diverging"]
+)
 def test_one_slanted_tendon(kinematics, direction, base, tip):
     """On one straight line, for which the compiled program of the kinked tendon serves."""
     heights = base + (tip - base) * KNOTS / LENGTH
@@ -110,34 +101,15 @@ def test_one_slanted_tendon(kinematics, direction, base, tip):
 
 
 @one_kinematics_at_once
-@pytest.mark.parametrize("direction", [(+1, +1), (+1, -1), (-1, +1)], ids=str)
+@pytest.mark.parametrize("direction", [(+1, -1), (-1, +1)], ids=str)
 def test_two_slanted_tendons(kinematics, direction):
     compare_pair(kinematics, SLANTED, SLANTED, (75.0, 20.0) if direction[0] > 0 else (30.0, 60.0), direction)
 
 
-SPLINE_KNOTS = np.array([0.0, 0.03, 0.06, 0.10, 0.14])
-SPLINE_HEIGHTS = np.array([0.0100, 0.0108, 0.0110, 0.0103, 0.0090])
-
-
 @pytest.mark.slow
-@one_kinematics_at_once
-def test_a_spline_offset(kinematics):
-    scipy_spline = CubicSpline(SPLINE_KNOTS, SPLINE_HEIGHTS, bc_type="not-a-knot")
-    plain = paper_plain(
-        kinematics, offsets=[scipy_spline], slopes=[scipy_spline.derivative()], breaks=tuple(SPLINE_KNOTS[1:-1])
-    )
-    tendon = cddf.Tendon(cddf.Spline(SPLINE_KNOTS, SPLINE_HEIGHTS))
-    compare(paper_with(tendon, kinematics=kinematics), plain, 60.0)
-
-
-@pytest.mark.slow
-@one_kinematics_at_once
-@pytest.mark.parametrize(
-    "other", [pytest.param((0.011, 0.011), marks=pytest.mark.slow), SLANTED], ids=["parallel", "slanted"]
-)
-def test_a_tendon_that_ends_before_the_tip(kinematics, other):
+def test_a_tendon_that_ends_before_the_tip():
     """The curvature jumps where the first ends, and with it a slanted tendon's angle to the axis."""
-    compare_pair(kinematics, PARALLEL, other, (40.0, 15.0), (+1, -1), end=0.08)
+    compare_pair("exact", PARALLEL, SLANTED, (40.0, 15.0), (+1, -1), end=0.08)
 
 
 def test_nothing_bends_beyond_the_last_anchor():
@@ -159,9 +131,10 @@ def test_a_step_of_the_section(kinematics):
     compare(paper_with(cddf.Tendon(0.010), kinematics=kinematics, outer_radius=step), plain, 40.0)
 
 
-@pytest.mark.parametrize("direction", [+1, -1], ids=["in", "out"])
-@pytest.mark.parametrize("heights", [(0.008, 0.012, 0.010, 0.010), (0.012, 0.008, 0.011, 0.010)], ids=["out", "in"])
-def test_a_kinked_tendon_loses_tension_at_the_kink(direction, heights):
+@pytest.mark.parametrize(
+    ("heights", "direction"), [((0.008, 0.012, 0.010, 0.010), +1), ((0.012, 0.008, 0.011, 0.010), -1)], ids=str
+)
+def test_a_kinked_tendon_loses_tension_at_the_kink(heights, direction):
     """In the exact kinematics T jumps by exp(-mu |delta psi|) where the tendon turns by a finite angle."""
     compare(bent("exact", heights), bent_plain("exact", heights), 30.0, direction)
 

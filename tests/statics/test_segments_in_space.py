@@ -19,7 +19,6 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import root
 
 import cddf_jax as cddf
-from cddf_jax.files.manipulator_file import read_robot_file, write_manipulator
 
 L, HALF, MU, RADIUS, OFFSET = 0.20, 0.11, 0.25, 0.7e-3, 8e-3
 E, POISSON = 60e9, 0.3
@@ -188,26 +187,3 @@ def test_a_fit_to_segments():
     assert fit.value["friction_coefficient"] == pytest.approx(mu, rel=1e-6)
     assert fit.value["youngs_modulus"] == pytest.approx(modulus, rel=1e-6)
     assert set(fit.status.values()) == {"identified"}
-
-
-def test_discs_in_a_file(tmp_path):
-    """Tendons outside the rod have to be allowed, and the file says that they are; masses and ends are read again."""
-    with pytest.raises(ValueError, match="tendon 1: offset must lie inside the wall"):
-        robot().validate()
-    write_manipulator(robot(), tmp_path / "discs.toml", offsets_outside_wall=True)
-    read = read_robot_file(tmp_path / "discs.toml")
-    assert read.offsets_outside_wall
-    assert {float(point.arc_length): float(point.mass) for point in read.manipulator.point_masses} == DISCS
-    assert [float(tendon.end) for tendon in read.manipulator.tendons] == list(ENDS)
-
-
-def test_tendons_of_two_segments_may_share_a_place():
-    """One ends where the other begins to wind through its place: allowed behind the end, refused before it."""
-    other = cddf.Tendon(OFFSET, angle=cddf.Linear(0.0, np.pi, L))  # at 4/5 pi at 0.16 m
-
-    def pair(end):
-        return robot(tendons=[other, cddf.Tendon(OFFSET, angle=0.8 * np.pi, end=end)])
-
-    pair(0.15).validate(offsets_outside_wall=True)
-    with pytest.raises(ValueError, match="tendons 1 and 2"):
-        pair(0.17).validate(offsets_outside_wall=True)

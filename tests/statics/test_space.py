@@ -24,7 +24,6 @@ def helix(turns):
 
 # name: body, base tension, loads, tip tension (N), tip position (mm); from two independent derivations and codes
 CASES = {
-    "no angle": (paper_with(at_angle(0.0)), 75.0, None, [45.12292701], (117.34384, 60.28179, 0.0)),
     "quarter of a turn": (paper_with(helix(0.25)), 75.0, None, [47.41876687], (118.67079545, 47.51777947, 32.74408991)),
     "half a turn": (paper_with(helix(0.5)), 75.0, None, [54.52936051], (122.12680351, 17.21060405, 47.09759111)),
     "one turn": (paper_with(helix(1.0)), 75.0, None, [42.13217899], (137.46753785, -5.67019229, 12.15926669)),
@@ -46,16 +45,14 @@ CASES = {
 
 
 @pytest.mark.parametrize(
-    "name", [name if name == "quarter of a turn" else pytest.param(name, marks=pytest.mark.slow) for name in CASES]
+    "name", [name if "turn" in name else pytest.param(name, marks=pytest.mark.slow) for name in CASES]
 )
 def test_numbers_of_two_independent_codes(name):
     body, base_tension, loads, tip_tension, tip_mm = CASES[name]
     found = cddf.solve(body, base_tension, loads)
     np.testing.assert_allclose(found.tip_tension, tip_tension, rtol=5e-9 if name != "a force across" else 5e-8)
     sharp = name == "half a turn"  # the turning of its tendon has a sharp minimum, where 1e-7 of the length is promised
-    np.testing.assert_allclose(
-        1e3 * found.tip_position, tip_mm, atol=1.4e-5 if sharp else 2e-7 if name != "no angle" else 5e-6
-    )
+    np.testing.assert_allclose(1e3 * found.tip_position, tip_mm, atol=1.4e-5 if sharp else 2e-7)
     assert found.error_estimate < (1e-6 if sharp else 1e-8)
     np.testing.assert_allclose(found.tip_frame.T @ found.tip_frame, np.eye(3), atol=1e-12)
 
@@ -99,40 +96,9 @@ def test_published_rod_with_a_helical_tendon_stretch_and_shear():
     np.testing.assert_allclose(1e3 * pulled.tip_position, (493.3483, 12.2099, 58.1888), atol=2e-3)
 
 
-@pytest.mark.slow
-def test_published_rod_with_a_straight_tendon_under_gravity():
-    body = cddf.Manipulator(tendons=(cddf.Tendon(0.01506, angle=0.0),), **ROD)
-    found = cddf.solve(body, 15.0, cddf.Loads(gravity=(0.0, 9.81, 0.0)))
-    np.testing.assert_allclose(1e3 * found.tip_position, (453.239992, 182.216166, 0.0), atol=2e-6)
-
-
-def about_the_axis(vector, angle):
-    cosine, sine = np.cos(angle), np.sin(angle)
-    return np.array([[1, 0, 0], [0, cosine, -sine], [0, sine, cosine]]) @ vector
-
-
-@pytest.mark.slow
-def test_a_body_and_its_loads_may_be_turned_about_the_axis():
-    tendons = (0.3, cddf.Linear(1.2, 2.9, LENGTH))
-    force, by = np.array([0.1, -0.2, 0.3]), 0.9
-    one = cddf.solve(paper_with(*map(at_angle, tendons)), (30.0, 10.0), cddf.Loads(tip_force=tuple(force)))
-    other_tendons = (0.3 + by, cddf.Linear(1.2 + by, 2.9 + by, LENGTH))
-    other_loads = cddf.Loads(tip_force=tuple(about_the_axis(force, by)))
-    other = cddf.solve(paper_with(*map(at_angle, other_tendons)), (30.0, 10.0), other_loads)
-    np.testing.assert_allclose(other.tip_tension, one.tip_tension, rtol=1e-11)
-    np.testing.assert_allclose(other.tip_position, about_the_axis(one.tip_position, by), atol=1e-12)
-    np.testing.assert_allclose(other.base_moment, about_the_axis(one.base_moment, by), atol=1e-12)
-    np.testing.assert_allclose(other.twist, one.twist, atol=1e-9)
-    np.testing.assert_allclose(other.tip_angle, one.tip_angle, atol=1e-12)
-
-
-LOADS_OF_THE_PLANE = [None, pytest.param(cddf.Loads(tip_force=(0.2, 0.3), tip_moment=0.01), marks=pytest.mark.slow)]
-
-
-@pytest.mark.parametrize("loads", LOADS_OF_THE_PLANE, ids=["free", "loaded"])
-def test_a_body_of_the_plane_in_space(loads):
+def test_a_body_of_the_plane_in_space():
     body = paper_body("exact", num_tendons=2)
-    plane, space = (cddf.solve(body, (40.0, 10.0), loads, space=space) for space in (False, True))
+    plane, space = (cddf.solve(body, (40.0, 10.0), space=space) for space in (False, True))
     np.testing.assert_allclose(space.tip_tension, plane.tip_tension, rtol=1e-10)
     np.testing.assert_allclose(space.tip_position, [*plane.tip_position, 0.0], atol=1e-11)
     np.testing.assert_allclose(space.tip_angle, plane.tip_angle, atol=1e-10)
@@ -177,22 +143,20 @@ def test_forces_on_the_body_balance_the_reactions_at_the_base():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("force", [None, np.array([0.0, 0.1, 0.2])], ids=["no load", "a tip force"])
-def test_work_of_tendon_and_load_is_stored_without_friction(force):
+def test_work_of_tendon_and_load_is_stored_without_friction():
     """Virtual work: dU/dT = T d(displacement)/dT + F dr/dT, with the elastic energy integrated from the curvature."""
-    body, loads = paper_with(helix(0.25), friction_coefficient=0.0), force if force is None else cddf.Loads(force)
+    body, force = paper_with(helix(0.25), friction_coefficient=0.0), np.array([0.0, 0.1, 0.2])
     x, weights = np.polynomial.legendre.leggauss(24)
     s = (x + 1) / 2 * LENGTH
     stiffness = jax.vmap(body.strain_stiffness)(jnp.asarray(s))
 
     def energy_travel_and_tip(tension):
-        found = cddf.solve(body, tension, loads, throw=False)
+        found = cddf.solve(body, tension, cddf.Loads(force), throw=False)
         energy = LENGTH / 4 * jnp.sum(weights[:, None] * stiffness * found.at(s).curvature ** 2)
         return energy, found.tendon_displacement[0], found.tip_position
 
     _, (rise, travel, moved) = jax.jvp(energy_travel_and_tip, (30.0,), (1.0,))
-    of_load = 0.0 if force is None else force @ np.asarray(moved)
-    np.testing.assert_allclose(rise, 30.0 * travel + of_load, rtol=1e-9)
+    np.testing.assert_allclose(rise, 30.0 * travel + force @ np.asarray(moved), rtol=1e-9)
 
 
 @pytest.mark.slow
@@ -213,7 +177,7 @@ def test_derivatives_against_differences_in_both_modes():
     np.testing.assert_allclose(reverse, forward, rtol=1e-9, atol=1e-13)
 
 
-@pytest.mark.parametrize("force", [None, (0.0, 0.1, 0.2), (0.5, -1.0, 0.3)], ids=["no load", "small", "large"])
+@pytest.mark.parametrize("force", [None, (0.5, -1.0, 0.3)], ids=["no load", "large"])
 def test_a_sharp_minimum_of_the_turning_is_integrated(force):
     """Against four times as many nodes; |T t'| comes near to zero within the body, nearly with a kink."""
     body, loads = paper_with(helix(0.5)), None if force is None else cddf.Loads(tip_force=force)
@@ -226,30 +190,13 @@ def test_a_sharp_minimum_of_the_turning_is_integrated(force):
     np.testing.assert_allclose(found.tip_position, fine.tip_position, atol=1e-7 * LENGTH)
 
 
-@pytest.mark.parametrize(("pull", "force"), [(40.0, (0.0, -10.0)), (20.0, (0.0, -5.0))])
-def test_the_kink_of_a_body_of_the_plane_in_space(pull, force):
+def test_the_kink_of_a_body_of_the_plane_in_space():
     """Where the curvature changes its sign the turning has a kink; the planar core has references of its own."""
-    body, loads = paper_body("exact"), cddf.Loads(tip_force=force)
-    plane, space = (cddf.solve(body, pull, loads, space=space) for space in (False, True))
+    body, loads = paper_body("exact"), cddf.Loads(tip_force=(0.0, -10.0))
+    plane, space = (cddf.solve(body, 40.0, loads, space=space) for space in (False, True))
     assert np.min(plane.curvature) < 0 < np.max(plane.curvature)
     np.testing.assert_allclose(space.tip_tension, plane.tip_tension, rtol=1e-7)
     np.testing.assert_allclose(space.tip_position, [*plane.tip_position, 0.0], atol=1e-7 * LENGTH)
-
-
-@pytest.mark.slow
-def test_a_body_that_bears_almost_no_load_is_stable():
-    """The energy of each cross-section without friction is strictly convex in its strains, so its least is stable.
-
-    Some of these bodies have a sharp minimum of the turning near to the base.
-    """
-    tension = jnp.array([20.0, 60.0, 73.0, 76.0, 80.0])
-    body = paper_with(helix(0.5), friction_coefficient=0.0)
-
-    def judged(tension):
-        found = cddf.solve(body, tension, cddf.Loads(tip_force=(0.0, 0.0, 1e-6)), throw=False)
-        return found.stable
-
-    assert np.all(jax.jit(jax.vmap(judged))(tension))
 
 
 def test_forces_at_the_tip_continue_those_before_it():
@@ -261,31 +208,14 @@ def test_forces_at_the_tip_continue_those_before_it():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("pull", [900.0, 1500.0])
-def test_a_body_bent_by_about_a_turn_bears_a_small_load(pull):
-    """The same as in the plane, where it bends by 5.2 and 6.3 rad."""
+def test_a_body_bent_by_about_a_turn_bears_a_small_load():
+    """The same as in the plane, where it bends by 5.2 rad."""
     body, loads = paper_with(cddf.Tendon(0.010)), cddf.Loads(tip_force=(0.0, 1e-6))
-    plane, found = (cddf.solve(body, pull, loads, space=in_space) for in_space in (False, True))
+    plane, found = (cddf.solve(body, 900.0, loads, space=in_space) for in_space in (False, True))
     assert found.stable
     np.testing.assert_allclose(found.tip_position, [*plane.tip_position, 0.0], atol=1e-7 * LENGTH)
     np.testing.assert_allclose(found.tip_frame[0, :2], [np.cos(plane.tip_angle), -np.sin(plane.tip_angle)], atol=1e-6)
     np.testing.assert_allclose(found.tip_tension, plane.tip_tension, rtol=1e-7)
-
-
-@pytest.mark.slow
-def test_a_body_bent_too_far_says_so_and_has_no_slopes():
-    """At 3,000 N the strain at the tendon is above 1, and passes diverge: no load is to blame. Derivatives are zero."""
-    body, loads = paper_with(*map(at_angle, (0.0, 2.1, 4.2))), cddf.Loads(tip_force=(0.0, 0.1, 0.1))
-
-    def solved(pull):
-        return cddf.solve(body, jnp.array([pull, 0.0, 0.0]), loads, throw=False)
-
-    failed = solved(3000.0)
-    assert failed.status == cddf.Status.not_converged
-    assert failed.num_load_steps == 0
-    forwards, backwards = (jax.jit(mode(lambda pull: solved(pull).tip_position)) for mode in (jax.jacfwd, jax.jacrev))
-    np.testing.assert_array_equal(forwards(3000.0), 0.0)
-    np.testing.assert_array_equal(backwards(3000.0), 0.0)
 
 
 @pytest.mark.slow
@@ -328,16 +258,6 @@ def test_stiffnesses_by_hand():
     np.testing.assert_allclose(given.strain_stiffness(0.05), expected, rtol=1e-14)
 
 
-@pytest.mark.slow
-def test_an_axis_that_stretches_is_shortened_by_its_tendons():
-    stiff = paper_with(at_angle(0.0), at_angle(np.pi), extensible=True, friction_coefficient=0.0)
-    found = cddf.solve(stiff, (20.0, 20.0))
-    # no bend: the force -40 N along the axis shortens it by the integral of 40 / (E A)
-    area = np.pi * (np.linspace(0.020, 0.013, 20001) ** 2 - 0.007**2)
-    shorter = np.trapezoid(40.0 / (1.4e6 * area), dx=LENGTH / 20000)
-    np.testing.assert_allclose(found.tip_position, (LENGTH - shorter, 0.0, 0.0), atol=1e-10)
-
-
 def test_what_is_not_possible_in_space_is_refused():
     with pytest.raises(ValueError, match="published kinematics are those of the plane"):
         paper_with(at_angle(0.0), kinematics="published")
@@ -362,14 +282,8 @@ def test_targets_in_space():
 
 @pytest.mark.slow
 def test_curvature_and_stiffness_as_targets():
-    # a body of the plane: the tensions of the planar core
-    flat = paper_body("exact", num_tendons=2)
     helix = paper_with(at_angle(cddf.Linear(0.0, 3.0, LENGTH)), at_angle(2.0))
-    wanted = cddf.TipStiffness(120.0), 5.0
-    found = cddf.solve(flat, wanted, direction=(1.0, -1.0), space=True)
-    expected = cddf.solve(flat, wanted, direction=(1.0, -1.0))
-    np.testing.assert_allclose(found.base_tension, expected.base_tension, rtol=1e-9)
-    # a helix: the fields of the body that was found, and its compliance, which is a derivative of `solve`
+    # the fields of the body that was found, and its compliance, which is a derivative of `solve`
     bent = cddf.solve(helix, (cddf.CurvatureAt(6.0, 0.05), 5.0))
     np.testing.assert_allclose(np.linalg.norm(bent.at(0.05).curvature[1:]), 6.0, rtol=1e-9)
     stiff = cddf.solve(helix, (cddf.TipStiffness(130.0), 5.0), direction=(1.0, 1.0))
@@ -378,23 +292,6 @@ def test_curvature_and_stiffness_as_targets():
     across = axis * axis[0] - np.eye(3)[0]
     across /= np.linalg.norm(across)
     np.testing.assert_allclose(1.0 / (across @ compliance @ across), 130.0, rtol=1e-8)
-
-
-@pytest.mark.slow
-def test_the_tip_angle_of_a_winding_tendon_is_reached():
-    """The tension that gave the angle; its slope is one over that of the angle."""
-    body = paper_with(helix(0.25))
-
-    def angle(tension):
-        return cddf.solve(body, tension, direction=1, throw=False).tip_angle
-
-    def tension(angle):
-        return cddf.solve(body, cddf.TipAngle(angle), direction=1, throw=False).base_tension[0]
-
-    wanted, slope = jax.jvp(angle, (30.0,), (1.0,))
-    found, inverse = jax.jvp(tension, (wanted,), (jnp.ones_like(wanted),))
-    np.testing.assert_allclose(found, 30.0, rtol=1e-9)
-    np.testing.assert_allclose(inverse * slope, 1.0, rtol=1e-7)
 
 
 @pytest.mark.slow

@@ -13,8 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import PAPER, codes, constant, lane, paper_body, paper_plain, replaced, stack
-from jax.sharding import AxisType, PartitionSpec
+from bodies import PAPER, codes, lane, paper_body, paper_plain, replaced, stack
 from loaded_bodies import PlainLoads, largest_difference, loaded_reference, random_loaded
 from refusals import refused
 from scipy.integrate import quad
@@ -198,17 +197,6 @@ def solver_of(target):
     return solve
 
 
-@pytest.mark.slow
-def test_round_trip_of_a_cylinder_under_a_load():
-    """The tip angle that SciPy finds for 20 N leads back to 20 N."""
-    plain = paper_plain("published", outer_radius=constant(0.015))
-    reference = loaded_reference(plain, 20.0, PlainLoads((0.0, -1.0)))
-    body, loads = paper_body("published", outer_radius=(0.015, 0.015)), cddf.Loads(tip_force=(0.0, -1.0))
-    found = cddf.solve(body, cddf.TipAngle(reference.tip_angle), loads, nodes=8)
-    assert found.base_tension == pytest.approx([20.0], rel=ROUND_TRIP)
-    np.testing.assert_allclose(found.tip_position, reference.tip_position, atol=1e-8)
-
-
 @pytest.mark.parametrize("target", ["angle", pytest.param("displacement", marks=pytest.mark.slow)])
 def test_round_trip_under_loads(target):
     """SciPy's displacement or tip angle of random loaded bodies leads back to the tension that made it."""
@@ -253,22 +241,6 @@ def test_slack_under_a_load_is_what_the_load_leaves():
     np.testing.assert_allclose(found.tendon_displacement[2:, 0], wanted[2:], rtol=CLOSED)
 
 
-@pytest.mark.slow
-def test_shard_map():
-    """A target under a load, four devices against one."""
-    body, loads = paper_body("exact"), cddf.Loads(tip_force=(0.0, -1.0))
-
-    def tension(angle):
-        return jax.vmap(lambda x: cddf.solve(body, cddf.TipAngle(x), loads, throw=False).base_tension[0])(angle)
-
-    lanes, angles = PartitionSpec("lanes"), jnp.linspace(0.3, 0.6, 4)
-    mesh = jax.make_mesh((4,), ("lanes",), axis_types=(AxisType.Auto,))
-    sharded = jax.jit(jax.shard_map(tension, mesh=mesh, in_specs=lanes, out_specs=lanes))(angles)
-    bodies, loads = (stack([x] * LANES) for x in (body, loads))
-    alone = solver_of("angle")(bodies, loads, jnp.append(angles, 0.5), jnp.zeros((LANES, 1)))
-    np.testing.assert_allclose(sharded, alone.base_tension[:4, 0], rtol=1e-10)
-
-
 # --- two tendons ---------------------------------------------------------------------------------
 
 PAIR = paper_body("exact", num_tendons=2)
@@ -281,14 +253,6 @@ def test_two_tendons_for_an_angle_and_a_total_tension():
     found = cddf.solve(body, (cddf.TipAngle(0.6), cddf.TotalTension(120.0)), direction=IN_OUT)
     difference = 0.6 * E / G
     assert found.base_tension == pytest.approx([60 + difference / 2, 60 - difference / 2], rel=CLOSED)
-
-
-def test_friction_costs_tension():
-    found = cddf.solve(PAIR, (cddf.TipAngle(0.6), cddf.TotalTension(120.0)), direction=IN_OUT)
-    again = cddf.solve(PAIR, found.base_tension, direction=IN_OUT)
-    assert again.tip_angle == pytest.approx(0.6, abs=CLOSED)
-    assert jnp.sum(found.base_tension) == pytest.approx(120.0, rel=CLOSED)
-    assert found.base_tension[0] - found.base_tension[1] > 0.6 * E / G
 
 
 @pytest.mark.slow
@@ -449,13 +413,6 @@ def test_what_no_body_in_space_can_have():
         assert said.startswith("solve: tip_angle of a body in space is 0 or more and at most 180 deg, got ")
     assert "curvature of a body in space is 0 or more, got -5" in refused(cddf.solve, body, cddf.CurvatureAt(-5.0, 0.1))
     assert refused(cddf.trace, body, cddf.TipAngle([1.0, 3.5])).startswith("trace: tip_angle of a body in space")
-
-
-@pytest.mark.slow
-def test_a_place_off_the_body_is_refused():
-    found, _ = lanes_of("curvature")
-    assert codes(found.status)[2:] == [Status.unphysical] * 2
-    assert np.all(np.isnan(found.tip_angle[2:]))
 
 
 @pytest.mark.slow

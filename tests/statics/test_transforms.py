@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import codes, lane, paper_body, paper_plain, replaced, stack, two_slanted_tendons
+from bodies import codes, paper_body, paper_plain, replaced, stack
 from jax.sharding import AxisType, PartitionSpec
 
 import cddf_jax as cddf
@@ -15,64 +15,6 @@ SAME = 1e-12  # the same operations, in an order that the compiler may change
 def assert_same(a, b, tolerance=SAME):
     for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
         np.testing.assert_allclose(x, y, rtol=tolerance, atol=tolerance)
-
-
-def lanes_of_bodies():
-    numbers = [(0.42, 1.4e6, 0.014), (0.2, 1.0e6, 0.012), (0.6, 3e6, 0.010), (0.05, 2e6, 0.018)]
-    return [
-        two_slanted_tendons(friction_coefficient=mu, youngs_modulus=E, outer_radius=(0.020, tip))
-        for mu, E, tip in numbers
-    ]
-
-
-def solve_pair(body, tension):
-    return cddf.solve(body, tension, direction=(+1, -1), throw=False)
-
-
-# the paper's body with antagonists, in SI units
-PAIR = {
-    "length": 0.14,
-    "outer_radius": (0.020, 0.013),
-    "inner_radius": 0.007,
-    "tendon_offset": (0.010, 0.010),
-    "friction_coefficient": 0.42,
-    "drag": 20.0,
-    "num_tendons": 2,
-}
-solve_pairs = jax.jit(jax.vmap(solve_pair))
-TENSIONS = jnp.array([[75.0, 20.0], [30.0, 5.0], [60.0, 0.0], [40.0, 39.0]])
-
-
-@pytest.mark.slow
-def test_vmap_over_the_leaves_of_pairs_is_a_loop():
-    bodies = lanes_of_bodies()
-    batch = solve_pairs(stack(bodies), TENSIONS)
-    for i, body in enumerate(bodies):
-        assert_same(lane(batch, i), solve_pair(body, TENSIONS[i]), 1e-10)  # the passes of a batch end together
-
-
-@pytest.mark.slow
-def test_hard_lanes_are_what_they_are_alone():
-    """Stiff pulls against strong loads and drag: the path takes back steps, curvature changes its sign, some fail."""
-    rng = np.random.default_rng(20261123)
-    count = 160
-    tensions, directions = rng.uniform(0, 90, (count, 2)), rng.choice([1.0, -1.0], (count, 2))
-    forces, moduli = rng.uniform(-12, 12, (count, 2)), rng.uniform(1e6, 3e6, count)
-
-    def solved(tension, direction, force, modulus):
-        body = cddf.conical(**{**PAIR, "youngs_modulus": modulus})
-        found = cddf.solve(body, tension, cddf.Loads(tip_force=force), direction=direction, throw=False)
-        return found.status, found.load_fraction, found.tip_angle, found.tip_tension
-
-    lanes = tensions, directions, forces, moduli
-    together = jax.jit(jax.vmap(solved))(*lanes)
-    alone = jax.jit(lambda lanes: jax.lax.map(lambda lane: solved(*lane), lanes))(lanes)
-    np.testing.assert_array_equal(together[0], alone[0])
-    assert np.unique(alone[0]).size > 2
-    ended = alone[1] < 1.0  # a limit load is narrowed down, not solved for
-    np.testing.assert_allclose(together[1], alone[1], atol=2e-5)
-    for a, b in zip(together[2:], alone[2:], strict=True):
-        np.testing.assert_allclose(np.asarray(a)[~ended], np.asarray(b)[~ended], rtol=1e-9, atol=1e-9)
 
 
 def test_jit_is_eager():
@@ -177,20 +119,6 @@ def tip_tension(tension):
 tip_tensions = jax.jit(jax.vmap(lambda t: (tip_tension(t), jax.grad(tip_tension)(t))))
 
 
-def test_scan_and_map_are_a_loop():
-    expected = tip_tensions(LADDER)
-
-    def step(total, tension):
-        value, slope = jax.value_and_grad(tip_tension)(tension)
-        return total + value, (value, slope)
-
-    total, scanned = jax.jit(lambda x: jax.lax.scan(step, 0.0, x))(LADDER)
-    assert_same(scanned, expected)
-    np.testing.assert_allclose(total, jnp.sum(expected[0]), rtol=SAME)
-    mapped = jax.jit(lambda x: jax.lax.map(tip_tension, x))(LADDER)
-    np.testing.assert_allclose(mapped, expected[0], rtol=SAME)
-
-
 def test_a_derivative_through_scan_is_the_sum_of_derivatives():
     def total(scale):
         return jax.lax.scan(lambda c, t: (c + tip_tension(scale * t), None), 0.0 * scale, LADDER)[0]
@@ -217,13 +145,6 @@ def test_shard_map_gives_values_slopes_and_curvatures():
     a = 0.42 / 1.4e6 * paper_plain("exact").compliance(0.14)  # T / (1 + a T), docs/theory.md (16)
     np.testing.assert_allclose(sharded[2], -2 * a / (1 + a * LADDER) ** 3, rtol=1e-7)
     assert len(sharded[0].sharding.device_set) == 4
-
-
-@pytest.mark.slow
-def test_shard_map_carries_whole_solutions_of_slanted_pairs():
-    bodies = stack(lanes_of_bodies())
-    sharded = on_four_devices(jax.vmap(solve_pair))(bodies, TENSIONS)
-    assert_same(sharded, solve_pairs(bodies, TENSIONS), 1e-10)
 
 
 def test_a_derivative_across_devices():
