@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from bodies import PlainBody, constant, straight
-from scipy.integrate import quad, solve_bvp, solve_ivp
+from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 
@@ -314,69 +314,6 @@ class _Shot:
         return np.concatenate([wrap, [kappa, c, sn, -(c * ny - sn * nx), weight], shorter])
 
 
-# --- a second opinion ----------------------------------------------------------------------------
-
-
-def bvp_reference(
-    body: PlainBody,
-    base_tension: Any,
-    loads: PlainLoads = PlainLoads(),
-    density: float = 0.0,
-    direction: Any = +1,
-    tol: float = 2e-8,
-    steps: int = 6,
-) -> LoadedReference:
-    """The same problem by collocation, for smooth bodies with constant offsets and all anchors at the tip.
-
-    Equations: docs/theory.md, with the tensions as unknowns and M_ext as the moment of what lies
-    outboard, M_ext = m + (u_L - u) x F + int_s^L rho A (u(xi) - u) x g, whose derivative is -(t x N).
-    Below 2e-8 the intervals around a kink of |kappa| become too short for SciPy's residual, on some processors.
-    """
-    n, length = len(body.sides), body.length
-    base = np.broadcast_to(np.asarray(base_tension, float), n)
-    side, mu, d = np.asarray(body.sides, float)[:, None], np.asarray(body.friction)[:, None], _offsets(body)
-    gain = mu * np.broadcast_to(np.asarray(direction, float), n)[:, None]
-    unit, total = body.youngs_modulus * body.second_moment(0.0) / length, mass(body, density) if density else 0.0
-    T0 = base[:, None]
-
-    def curvature(x, y):
-        T, EJ = T0 * np.exp(-gain * y[:n]), body.youngs_modulus * body.second_moment(x * length)
-        add = np.sum(T * d**2, axis=0) if body.kinematics == "published" else 0.0
-        return (np.sum(side * d * T, axis=0) + unit * y[n + 3]) / (EJ + add)
-
-    def rates(now):
-        def rate(x, y):
-            kappa, c, s = curvature(x, y), np.cos(y[n]), np.sin(y[n])
-            turning = np.abs(kappa / (1 - side * d * kappa) if body.kinematics == "published" else kappa + 0 * d)
-            fx, fy = (f + g * (total - total * y[n + 4]) for f, g in zip(now.tip_force, now.gravity, strict=True))
-            inboard = density * _area(body, x * length) * length / total + 0 * x if total else 0 * x
-            return np.vstack([turning * length, kappa * length, c, s, -(c * fy - s * fx) * length / unit, inboard])
-
-        return rate
-
-    x, y = np.linspace(0, 1, 60), np.zeros((n + 5, 60))
-    y[n + 1] = x
-    for fraction in np.linspace(0, 1, steps + 1):
-        now = loads.times(fraction)
-
-        def ends(a, b, now=now):
-            return np.concatenate([a[: n + 3], [a[n + 4], b[n + 3] - now.tip_moment / unit]])
-
-        out = solve_bvp(rates(now), ends, x, y, tol=tol if fraction == 1 else 1e-4, max_nodes=60_000)
-        if not out.success:
-            raise NotFoundError(out.message)
-        x, y = out.x, out.y
-    kappa, wrap = curvature(x, y), y[:n, -1]
-    shorter = (side * d)[:, 0] * y[n, -1]  # int sigma d kappa
-    position = length * y[n + 1 : n + 3].T
-    found = (base * np.exp(-gain[:, 0] * wrap), wrap, y[n, -1], position[-1], shorter, unit * y[n + 3, 0])
-    return LoadedReference(*found, length * x, y[n], kappa, position, length * x[1:][np.diff(np.sign(kappa)) != 0])
-
-
-def _offsets(body: PlainBody) -> np.ndarray:
-    return np.array([[offset(0.0)] for offset in body.offsets])
-
-
 # --- textbook ------------------------------------------------------------------------------------
 
 
@@ -424,87 +361,6 @@ def buckling_force(stiffness: float, length: float) -> float:
     return np.pi**2 * stiffness / (4 * length**2)
 
 
-# --- stability -----------------------------------------------------------------------------------
-
-
-def smallest_tangent_eigenvalue(
-    body: PlainBody,
-    base_tension: Any,
-    loads: PlainLoads,
-    density: float,
-    direction: Any,
-    solution: Any,
-    cells: int = 120,
-) -> float:
-    """Smallest real part of an eigenvalue of the tangent at constant base tensions, N m^2; negative: unstable.
-
-    The Jacobian of `dense_residual`, column by column by a complex step. Applied to delta kappa it is an
-    operator per length: E J delta kappa and integrals, so that without loads and tensions its eigenvalues
-    are those of E J. `solution` has `arc_length` and `curvature`.
-    """
-    s, residual = dense_residual(body, base_tension, loads, density, direction, cells)
-    kappa = np.interp(s, solution.arc_length, solution.curvature)
-    return float(np.min(np.linalg.eigvals(tangent(residual, kappa)).real))
-
-
-def tangent(residual: Callable, kappa: np.ndarray) -> np.ndarray:
-    """The Jacobian of a dense residual."""
-    step = 1e-30
-    return residual(kappa[:, None] + 1j * step * np.eye(kappa.size)).imag / step
-
-
-def dense_residual(
-    body: PlainBody, base_tension: Any, loads: PlainLoads, density: float, direction: Any, cells: int
-) -> tuple[np.ndarray, Callable]:
-    """E J kappa_i - sum sigma d T_i (t_c . t) - M_ext,i at the middle s_i of equal cells, docs/theory.md.
-
-    One curvature per cell; tensions from the turning inboard, M_ext from the loads outboard. Second order
-    in the width, first where a turn changes its sign in a jump. Slants, anchors and sections may vary;
-    jumps belong between cells. The residual takes one column per shape.
-    """
-    n, h = len(body.sides), body.length / cells
-    s = h * (np.arange(cells) + 0.5)
-    side = np.asarray(body.sides, float)[:, None, None]
-    ends = np.asarray(body.ends if len(body.ends) else [np.inf] * n, float)
-
-    def per_tendon(functions):
-        return np.array([[[f(x)] for x in (0.0, *s)] for f in functions], float)
-
-    offsets = per_tendon(body.offsets)
-    slopes = per_tendon(body.slopes) if body.slopes is not None else np.zeros_like(offsets)
-    d = offsets[:, 1:]
-    base = (np.broadcast_to(np.asarray(base_tension, float), n)[:, None] * (s < ends[:, None]))[..., None]
-    gain = (np.broadcast_to(np.asarray(direction, float), n) * np.asarray(body.friction))[:, None, None]
-    EJ = np.array([[body.youngs_modulus * body.second_moment(x)] for x in s])
-    weight = density * h * np.array([[_area(body, x)] for x in s])
-    (fx, fy), m, (gx, gy) = loads
-
-    def size(z):
-        return z * np.where(np.real(z) < 0, -1.0, 1.0)
-
-    def inboard(z):  # up to the middle of each cell
-        return np.cumsum(z, axis=-2) - z / 2
-
-    def outboard(z):  # from the middle of each cell
-        return np.sum(z, axis=-2) - inboard(z)
-
-    def residual(kappa):
-        phi, q = h * inboard(kappa), 1 - side * d * kappa
-        if body.kinematics == "published":
-            T, arm = base * np.exp(-gain * h * inboard(size(kappa / q))), q
-        else:
-            kappa_and_base = np.concatenate([1.5 * kappa[:1] - 0.5 * kappa[1:2], kappa])
-            ratio = 1 - side * offsets * kappa_and_base
-            psi = np.concatenate([0 * phi[:1], phi]) + np.arctan(side * slopes / ratio)
-            T = base * np.exp(-gain * np.cumsum(size(np.diff(psi, axis=1)), axis=1))
-            arm = q / np.sqrt(q**2 + slopes[:, 1:] ** 2)
-        c, sn, beyond = np.cos(phi), np.sin(phi), outboard(weight)
-        twist = h * outboard(c * (fy + gy * beyond) - sn * (fx + gx * beyond))
-        return EJ * kappa - np.sum(side * d * T * arm, axis=0) - m - twist
-
-    return s, residual
-
-
 # --- random problems -----------------------------------------------------------------------------
 
 
@@ -518,13 +374,12 @@ class LoadedProblem(NamedTuple):
     density: float
     direction: tuple[int, ...]
     reference: LoadedReference
-    stiffness: float  # smallest_tangent_eigenvalue over the smallest E J: positive
 
 
 def random_loaded(
     rng: np.random.Generator, kinematics: str, num_tendons: int = 1, slanted: bool | None = None
 ) -> LoadedProblem:
-    """A conical body, one or two tendons and loads, drawn until there is a stable equilibrium.
+    """A conical body, one or two tendons and loads, drawn until there is an equilibrium, stable as the path to it.
 
     Without friction the first tendon alone would bend the body by 0.2 to 2.5 rad or so; loads of either
     kind count up to a few E J / L^2 (forces) or E J / L (moments). In half of the cases they oppose the
@@ -542,14 +397,11 @@ def random_loaded(
             continue
         plain = problem[0]
         offset = max(plain.offsets[0](0.0), plain.offsets[0](plain.length))
-        least = smallest_tangent_eigenvalue(plain, *problem[2:6], found) / (
-            plain.youngs_modulus * min(plain.second_moment(0.0), plain.second_moment(plain.length))
-        )
         kappa = found.curvature
         turns = np.max(kappa) * np.min(kappa) < -0.01 * np.max(np.abs(kappa)) ** 2
         fits = np.max(np.abs(kappa)) * offset < 0.8 and abs(found.tip_angle) < np.radians(170)
-        if fits and least > 0.1 and (turns or not opposing):
-            return LoadedProblem(*problem, found, least)
+        if fits and (turns or not opposing):
+            return LoadedProblem(*problem, found)
 
 
 def _draw_loaded(rng: np.random.Generator, kinematics: str, count: int, opposing: bool, slanted: bool) -> tuple:

@@ -9,10 +9,8 @@ from loaded_bodies import (
     NotFoundError,
     PlainLoads,
     buckling_force,
-    dense_residual,
     largest_difference,
     loaded_reference,
-    tangent,
 )
 from scipy.optimize import brentq
 from scipy.special import jv
@@ -88,26 +86,6 @@ def test_a_slightly_bent_column_leaves_the_straight_line(fraction):
 # --- which equilibrium ---------------------------------------------------------------------------
 
 
-def in_small_steps(plain, tension, loads, steps=50, cells=60):
-    """The tip angle at the end of a path of stable equilibria of equal cells, by Newton's method at every step."""
-    # without loads: by the closed form, docs/theory.md (16)
-    places = LENGTH * (np.arange(cells) + 0.5) / cells
-    J = plain.second_moment(places)
-    kappa = 0.010 / (1.4e6 * J) * np.array([plain.closed_form(tension, x) for x in places])
-    for fraction in np.linspace(0, 1, steps + 1):
-        _, residual = dense_residual(plain, tension, loads.times(fraction), 0.0, +1, cells)
-        for _ in range(30):
-            change = np.linalg.solve(tangent(residual, kappa), residual(kappa[:, None])[:, 0])
-            kappa = kappa - change
-            if np.max(np.abs(change)) < 1e-9:
-                break
-        else:
-            raise NotFoundError(f"lost at {fraction}")
-        # where an eigenvalue turned negative on the way, the determinant did
-        assert np.linalg.slogdet(tangent(residual, kappa))[0] > 0
-    return np.sum(kappa) * LENGTH / cells
-
-
 HARD = {
     # tension (N), force in E J / L^2, its angle (degrees), least number of steps, least tip angle (degrees)
     "against the tendon": (60.0, 4.0, 240.0, 3, -180.0),
@@ -118,15 +96,13 @@ HARD = {
 
 @pytest.mark.parametrize("case", HARD)
 def test_the_end_of_the_path(case):
-    """The equilibrium that a caller reaches in small steps, identified by its tip angle; then the reference."""
+    """The equilibrium to which SciPy's reference comes in small steps."""
     tension, times, degrees, steps, angle = HARD[case]
     loads, plain = pressed(times, degrees), paper_plain("exact")
     solution = solved(loads, tension)
     assert solution.status == cddf.Status.successful
     assert solution.num_load_steps >= steps
     assert np.degrees(float(solution.tip_angle)) > angle
-    # 60 cells are of second order; other equilibria are more than a radian away
-    np.testing.assert_allclose(solution.tip_angle, in_small_steps(plain, tension, loads), atol=1e-2)
     # some change the sign of their curvature, where `solve` promises 1e-7 of the length
     difference = largest_difference(solution, loaded_reference(plain, tension, loads), plain)
     assert difference < max(AGREES, float(solution.error_estimate))

@@ -62,7 +62,6 @@ ONE_PULLS, IN_OUT = (75.0, 0.0), (+1, -1)  # the other tendon has no tension
 MIDDLE = 0.012 - 0.003 * 0.06 / LENGTH  # on the line from 12 to 9 mm
 EXACT = {
     "loads that help": (parallel_tendons(), ONE_PULLS, LOADS, IN_OUT),
-    "antagonists": (pair((d, d, d), (d, d), LENGTH), (75.0, 20.0), None, IN_OUT),
     "slanted antagonists": (pair((0.012, MIDDLE, 0.009), (0.012, 0.009), LENGTH), (75.0, 20.0), None, IN_OUT),
     "a sharp bend": (pair((0.012, 0.009, 0.009), (d, d), 0.1), ONE_PULLS, None, IN_OUT),
     "tendons that stretch": (parallel_tendons(3000.0, 0.3), (60.0, 30.0), LOADS, IN_OUT),

@@ -24,7 +24,6 @@ from bodies import (
 )
 from loaded_bodies import (
     PlainLoads,
-    bvp_reference,
     cantilever_tapered,
     circle_tip,
     elastica_tip,
@@ -33,8 +32,6 @@ from loaded_bodies import (
     random_loaded,
 )
 from refusals import refused
-from scipy.integrate import cumulative_simpson
-from scipy.interpolate import CubicSpline
 
 import cddf_jax as cddf
 
@@ -51,7 +48,7 @@ LENGTH = PAPER["length"]
 LANES = 5
 # kinematics, number of tendons, whether they are slanted
 QUICK = ("exact", 1, False)  # its program is compiled for other tests as well
-CASES = [("published", 1, False), ("exact", 1, False), ("exact", 2, False), ("exact", 2, True), ("published", 2, True)]
+CASES = [("exact", 1, False), ("exact", 2, True), ("published", 2, True)]
 
 
 @lru_cache
@@ -84,46 +81,11 @@ def random_batch(kinematics: str, count: int, slanted: bool) -> tuple[list, Any]
     return problems, solver_of(kinematics, count)(stack(bodies), tensions, stack(loads))
 
 
-def moment_outboard(solution, loads: PlainLoads, plain: PlainBody, density: float):
-    """M_ext at the nodes: the moment of all that lies outboard about each, from positions alone.
-
-    M_ext(s) = m + (u_L - u) x F + int_s^L rho A(xi) (u(xi) - u(s)) dxi x g, by Simpson's rule.
-    """
-    s = np.linspace(0, plain.length, 2001)
-    at = np.array(fields_at(solution, s).position)
-    area = np.pi * (plain.outer_radius(s) ** 2 - plain.inner_radius(s) ** 2)
-    mass = CubicSpline(s, cumulative_simpson(density * area, x=s, initial=0.0))
-    moments = CubicSpline(s, cumulative_simpson(density * area[:, None] * at, x=s, axis=0, initial=0.0 * at[:1]))
-    nodes, u = np.array(solution.arc_length), np.array(solution.position)
-
-    def cross(a, b):
-        return a[:, 0] * b[1] - a[:, 1] * b[0]
-
-    outboard = moments(s[-1]) - moments(nodes) - (mass(s[-1]) - mass(nodes))[:, None] * u
-    return loads.tip_moment + cross(u[-1] - u, loads.tip_force) + cross(outboard, loads.gravity)
-
-
-def assert_moments_balance(solution, problem):
-    """E J kappa = sum sigma d T t_c.t + M_ext, docs/theory.md; at the base, M_ext is what the base holds."""
-    plain = problem.plain
-    s, kappa = np.array(solution.arc_length), np.array(solution.curvature)
-    side, d = np.array(plain.sides)[:, None], np.array([[offset(x) for x in s] for offset in plain.offsets])
-    slope = 0.0 * d if plain.slopes is None else np.array([[f(x) for x in s] for f in plain.slopes])
-    q = 1 - side * d * kappa
-    arm = d * (q if plain.kinematics == "published" else q / np.hypot(q, slope))
-    unit = plain.youngs_modulus * plain.second_moment(0.0) / plain.length
-    outboard = moment_outboard(solution, problem.loads, plain, problem.density)
-    balance = plain.youngs_modulus * plain.second_moment(s) * kappa - np.sum(side * arm * solution.tension, 0)
-    np.testing.assert_allclose(balance / unit, outboard / unit, atol=1e-8)  # the interpolants between nodes
-    np.testing.assert_allclose(solution.base_moment / unit, outboard[0] / unit, atol=1e-8)
-
-
 @pytest.mark.parametrize(
     ("kinematics", "count", "slanted"),
     [case if case == QUICK else pytest.param(*case, marks=pytest.mark.slow) for case in CASES],
 )
 def test_random_problems(kinematics, count, slanted):
-    """Against shooting; some as well against collocation, and by the moments about every node."""
     problems, batch = random_batch(kinematics, count, slanted)
     assert codes(batch.status) == [cddf.Status.successful] * LANES
     for i, problem in enumerate(problems):
@@ -133,17 +95,10 @@ def test_random_problems(kinematics, count, slanted):
         assert difference < (3 * WITH_KINKS if turns else AGREES)  # bodies rougher than any robot
         assert difference < max(float(solution.error_estimate), 1e-11)  # the reference is no better
         assert solution.error_estimate < 1e-5
-        assert solution.stable  # random_loaded keeps stable equilibria only
+        assert solution.stable  # the path of the reference has not passed a fold
         assert solution.load_fraction == 1.0
     # a load may push a tendon back further than its tension draws it in: that contradicts nothing
     assert np.any(np.array([problem.reference.displacement * problem.direction for problem in problems]) < 0)
-    if not slanted:
-        second = bvp_reference(problems[0].plain, problems[0].base_tension, *problems[0][3:6])
-        assert largest_difference(lane(batch, 0), second, problems[0].plain) < 1e-7  # its residual is 2e-8, relative
-    if count == 1 or slanted:
-        assert any(problem.loads.gravity != (0.0, 0.0) for problem in problems[:3])
-        for i, problem in enumerate(problems[:3]):
-            assert_moments_balance(lane(batch, i), problem)
 
 
 # --- textbook ------------------------------------------------------------------------------------
@@ -167,7 +122,7 @@ def test_a_tapered_cantilever_under_a_small_force():
     np.testing.assert_allclose(solution.base_moment, force * LENGTH, rtol=1e-7)
 
 
-@pytest.mark.parametrize("alpha", [0.1, 2.0, -5.0, 20.0])
+@pytest.mark.parametrize("alpha", [-5.0, 20.0])
 def test_the_elastica(alpha):
     """Bisshopp and Drucker (1945): a uniform cantilever under a transverse dead force alpha E J / L^2 at its tip."""
     x, y, angle = elastica_tip(alpha)
@@ -179,7 +134,7 @@ def test_the_elastica(alpha):
     np.testing.assert_allclose(solution.base_moment, alpha * x * RIGIDITY / 0.2, rtol=TEXTBOOK)
 
 
-@pytest.mark.parametrize("turns", [0.2, -0.7, 1.6])
+@pytest.mark.parametrize("turns", [-0.7, 1.6])
 def test_a_tip_moment_makes_a_circle(turns):
     """The curvature m / (E J) everywhere, also more than once around."""
     kappa = 2 * np.pi * turns / 0.2
@@ -191,14 +146,12 @@ def test_a_tip_moment_makes_a_circle(turns):
     np.testing.assert_allclose(solution.base_moment, kappa * RIGIDITY, rtol=TEXTBOOK)
 
 
-@pytest.mark.parametrize("gravity", [(0.0, -9.81), (15.0, -30.0)], ids=str)
-def test_a_rod_hangs_under_its_weight(gravity):
-    """Against collocation by SciPy, which stops at a relative residual of 1e-8."""
+def test_a_rod_hangs_under_its_weight():
     plain = PlainBody(0.2, constant(0.004), constant(0.0), [constant(0.002)], 1e6, [0.3], "exact")
-    solution = cddf.solve(rod(density=1000.0), 0.0, cddf.Loads(gravity=gravity))
-    second = bvp_reference(plain, 0.0, PlainLoads(gravity=gravity), 1000.0)
+    solution = cddf.solve(rod(density=1000.0), 0.0, cddf.Loads(gravity=(15.0, -30.0)))
+    reference = loaded_reference(plain, 0.0, PlainLoads(gravity=(15.0, -30.0)), 1000.0)
     assert solution.tip_angle < -1.0
-    assert largest_difference(solution, second, plain) < 1e-8
+    assert largest_difference(solution, reference, plain) < 1e-8
 
 
 def test_a_force_along_a_straight_rod_bends_nothing():
@@ -212,17 +165,16 @@ def test_a_force_along_a_straight_rod_bends_nothing():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kinematics", ["published", "exact"])
-def test_a_stepped_body_with_a_passive_tip_link(kinematics):
+def test_a_stepped_body_with_a_passive_tip_link():
     """Two tendons of their own offsets and friction end at 100 mm; beyond it the body is passive, under loads."""
     outer = cddf.Piecewise([0.06], [cddf.Constant(0.018), cddf.Constant(0.014)])
     tendons = (
         cddf.Tendon(cddf.Linear(0.011, 0.008, LENGTH), end=0.10, friction_coefficient=0.2),
         cddf.Tendon(cddf.Linear(0.009, 0.010, LENGTH), side=-1, end=0.10, friction_coefficient=0.35),
     )
-    body = cddf.Manipulator(LENGTH, outer, 0.007, tendons, 1.4e6, 9.0, density=1100.0, kinematics=kinematics)
+    body = cddf.Manipulator(LENGTH, outer, 0.007, tendons, 1.4e6, 9.0, density=1100.0)
     plain = paper_plain(
-        kinematics,
+        "exact",
         (+1, -1),
         outer_radius=lambda s: np.where(s < 0.06, 0.018, 0.014),
         offsets=[straight(0.011, 0.008, LENGTH), straight(0.009, 0.010, LENGTH)],
@@ -296,15 +248,6 @@ def test_millimetres_and_megapascals():
     np.testing.assert_allclose(mm.friction_force, si.friction_force / 1e3, rtol=1e-8, atol=1e-9)
 
 
-def test_loads_tensions_and_stiffness_scale_together():
-    """Only ratios to E enter, docs/theory.md."""
-    times = 7.0
-    loads = jax.tree.map(lambda x: times * x, PAIR_LOADS)
-    stiff = solved_pair(loads, (times * 60.0, times * 15.0), youngs_modulus=times * PAPER["youngs_modulus"])
-    # the weight is in gravity already, which is seven times as strong
-    np.testing.assert_allclose(stiff.position, solved_pair().position, rtol=SETTLED, atol=SETTLED)
-
-
 # --- methods, precision, transformations ---------------------------------------------------------
 
 # on the paper's body: the tendon bends it up, the loads bend its tip back down
@@ -335,11 +278,6 @@ def test_single_precision():
     assert solution.status == cddf.Status.successful
     assert {x.dtype for x in jax.tree.leaves(solution) if jnp.issubdtype(x.dtype, jnp.floating)} == {np.dtype("f4")}
     assert largest_difference(solution, opposed_reference(), paper_plain("exact")) < 1e-4
-
-
-def test_the_papers_iteration_refuses_loads():
-    with pytest.raises(ValueError, match="has no loads; use FixedPoint"):
-        cddf.solve(opposed(), 60.0, cddf.Loads(*OPPOSING), method=cddf.LiteralIteration())
 
 
 # --- derivatives ---------------------------------------------------------------------------------
@@ -385,17 +323,6 @@ def derivatives(times):
     in_all_lanes = jax.vmap(lambda number: along(jnp.broadcast_to(number, times.shape))[1], out_axes=-1)
     (reverse,) = jax.vmap(jax.linear_transpose(lambda t: along(t)[0], times))(jnp.eye(sums.size))
     return Derivatives(values, in_all_lanes(jnp.eye(len(NUMBERS))), reverse, solutions)
-
-
-@jax.jit
-def second_derivatives(times):
-    """Of the sums over the lanes, (5, lanes, 14, 14): forward mode over reverse mode."""
-
-    def along(number):
-        by = jax.jacrev(lambda times: total(times)[0][0])
-        return jax.jvp(by, (times,), (jnp.broadcast_to(number, times.shape),))[1]
-
-    return jax.vmap(along, out_axes=-1)(jnp.eye(len(NUMBERS)))
 
 
 def lane_of(density, loads):
@@ -451,12 +378,6 @@ def slope(function, at, direction, h=1e-4):
     return (function(at + h * direction) - function(at - h * direction)) / (2 * h)
 
 
-def bend(function, at, direction, h=1e-2):
-    """The second derivative along a direction, of fourth order in h."""
-    far_back, back, here, ahead, far_ahead = (function(at + i * h * direction) for i in (-2, -1, 0, 1, 2))
-    return (-far_back + 16 * back - 30 * here + 16 * ahead - far_ahead) / (12 * h**2)
-
-
 def test_derivatives_by_every_number():
     """Forward and reverse against differences of the reference: h^2 and its 1e-11 over h leave 1e-6."""
     found, ones = good(), np.ones(len(NUMBERS))
@@ -467,15 +388,13 @@ def test_derivatives_by_every_number():
 
 
 @pytest.mark.slow
-def test_a_hessian():
-    """Along three directions, against second differences of the reference: h^4 and its 1e-11 over h^2."""
-    weights = np.array([1.0, -0.5, 0.7, 0.3, 2.0])
-    hessian = np.tensordot(weights, second_derivatives(between_good_ones(*GOOD_LANES[0]))[:, 0], 1)
-    np.testing.assert_allclose(hessian, hessian.T, atol=1e-8)
-    rng = np.random.default_rng(3)
-    for direction in rng.normal(size=(3, len(NUMBERS))) / 4:
-        second = weights @ bend(reference_tip_and_base, np.ones(len(NUMBERS)), direction)
-        np.testing.assert_allclose(direction @ hessian @ direction, second, rtol=1e-5, atol=1e-5)
+def test_a_second_derivative():
+    """Along a direction, forward over reverse, against differences of the reference: h^4 and its 1e-11 over h^2."""
+    weights, h = np.array([1.0, -0.5, 0.7, 0.3, 2.0]), 1e-2
+    direction = np.random.default_rng(3).normal(size=len(NUMBERS)) / 4
+    found = jax.jit(jax.jacfwd(jax.grad(lambda step: weights @ tip_and_base(1.0 + step * direction)[0])))(0.0)
+    a, b, c, d, e = (weights @ reference_tip_and_base(1.0 + i * h * direction) for i in (-2, -1, 0, 1, 2))
+    assert found == pytest.approx((-a + 16 * b - 30 * c + 16 * d - e) / (12 * h**2), rel=1e-5)
 
 
 # --- what is refused -----------------------------------------------------------------------------

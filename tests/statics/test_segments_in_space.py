@@ -169,21 +169,3 @@ def test_discs_and_segments_under_loads():
     np.testing.assert_allclose(found.tip_tension, tension, rtol=1e-8)
     np.testing.assert_allclose(found.tip_position, place, atol=1e-10)
     np.testing.assert_allclose(found.tip_frame, frame, atol=1e-9)
-
-
-@pytest.mark.slow
-def test_a_fit_to_segments():
-    """Readings of SciPy at another friction and modulus: both come back."""
-    pulls, mu, modulus = np.array([[2.0, 0.5, 0.0], [1.0, 2.0, 1.5], [0.5, 1.0, 3.0]]), 0.3, 52e9
-    read = [integrated(np.zeros(3), pull, mu, modulus, loaded=False) for pull in pulls]
-    columns = {}
-    for i, name in enumerate(("", "_2", "_3")):
-        columns |= {f"base_tension{name}": pulls[:, i], f"direction{name}": np.ones(3)}
-        columns[f"tip_tension{name}"] = [tension[i] for tension, *_ in read]
-    columns |= {f"tip_{axis}": [place[i] for _, place, *_ in read] for i, axis in enumerate("xyz")}
-    table = cddf.Measurements.from_columns("from SciPy", **columns)
-    noise = {name: 0.01 if "tension" in name else 1e-4 for name in columns if name.startswith("tip_")}
-    fit = cddf.fit(robot(), table, noise=noise)
-    assert fit.value["friction_coefficient"] == pytest.approx(mu, rel=1e-6)
-    assert fit.value["youngs_modulus"] == pytest.approx(modulus, rel=1e-6)
-    assert set(fit.status.values()) == {"identified"}

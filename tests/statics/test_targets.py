@@ -283,9 +283,7 @@ def test_tip_stiffness_is_the_inverse_of_the_compliance_across_the_tip():
     [
         ("tip_angle", -0.5, 0.0),
         ("tip_angle", 12.0, crossing_tension()),
-        pytest.param("tip_tension", 200.0, crossing_tension(), marks=pytest.mark.slow),
         pytest.param("curvature", -3.0, 0.0, marks=pytest.mark.slow),
-        pytest.param("tip_tension", -1.0, 0.0, marks=pytest.mark.slow),
     ],
 )
 def test_an_unreachable_target_gives_the_nearest(name, wanted, nearest):

@@ -173,11 +173,11 @@ def test_with_friction_of_a_tendon_that_is_paid_out_three_tendons_are_found():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("pull", [(12.0, 6.0, 0.0), (16.0, 8.0, 0.0), (12.145884, 22.237196, 0.0)])
-def test_a_place_is_reached_with_directions_that_fit_where_there_are_some(pull):
+def test_a_place_is_reached_with_directions_that_fit_where_there_are_some():
     """Beside these pulls, others reach the place with a tendon of which a part sticks: no direction fits it."""
+    pull = (12.145884, 22.237196, 0.0)
     robot = cddf.read_manipulator(ROOT / "data" / "three_tendons_made_up.toml")
-    pulled = cddf.solve(robot, np.array(pull))
+    pulled = cddf.solve(robot, pull)
     assert not np.any(pulled.direction_contradicted)
     found = cddf.solve(robot, cddf.TipPosition(pulled.tip_position))
     assert not np.any(found.direction_contradicted)
