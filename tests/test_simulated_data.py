@@ -68,21 +68,6 @@ def test_every_file_says_what_it_is(name):
     assert table.warnings == ()
 
 
-@pytest.mark.parametrize(
-    ("name", "kinematics", "levels", "trials"),
-    [
-        ("load_cells_simulated.csv", "PUBLISHED", np.arange(5, 86, 5), 6),
-        ("tip_angle_simulated.csv", "EXACT", np.arange(10, 81, 10), 3),
-    ],
-)
-def test_kinematics_levels_and_trials(name, kinematics, levels, trials):
-    table = read_measurements(DATA / name)
-    assert f"{kinematics} kinematics" in " ".join(table.notes)
-    assert len(table.trial_labels) == trials
-    base = table["base_tension"].reshape(trials, len(levels))
-    assert np.max(np.abs(base - levels)) < 4 * BASE_SD
-
-
 def test_load_cells_are_true():
     assert compliance() == pytest.approx(2.942783188998e4, rel=1e-12)  # docs/theory.md (16)
     assert_standard_normal(standardised_tip_tension(read_measurements(DATA / "load_cells_simulated.csv")))

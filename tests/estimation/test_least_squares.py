@@ -1,6 +1,5 @@
 """The statistics of a fit, against closed forms and SciPy; no manipulator in sight."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -106,24 +105,6 @@ def test_prior_on_what_the_data_do_not_hold(priors):
     alone = fit.determined_by("data")
     assert alone.status["c"] == "not identified"
     assert alone.standard_error["c"] == np.inf
-
-
-class ScaledLine(eqx.Module):
-    """A pytree that is callable: another unit compiles nothing."""
-
-    unit: jax.Array
-
-    def __call__(self, p):
-        return p["a"] + p["b"] / self.unit * X
-
-
-@pytest.mark.parametrize("unit", [1e-6, 1e12])
-def test_units_do_not_matter(unit):
-    fit = least_squares_fit(ScaledLine(jnp.asarray(unit)), {"a": 1.0, "b": unit}, NOISY, SIGMA)
-    error = SIGMA * np.sqrt(COVARIANCE[1, 1])
-    assert fit.value["b"] == pytest.approx(unit * B_HAT, rel=SETTLED)
-    assert fit.standard_error["b"] == pytest.approx(unit * error, rel=SETTLED)
-    assert fit.status["b"] == "identified"
 
 
 def test_too_few_data_to_estimate_the_noise():
@@ -370,13 +351,6 @@ def test_what_one_group_determines(joint):
     np.testing.assert_allclose([alone.standard_error["fine_level"], alone.standard_error["slope"]], expected, rtol=1e-6)
     assert alone.value == joint.value
     assert alone.rank == 2
-
-
-def test_what_all_groups_determine_is_the_fit_without_its_prior(groups, joint):
-    _, covariance, _, _ = weighted(groups, 0.03, 0.3)
-    both = joint.determined_by("fine", "coarse")
-    np.testing.assert_allclose([both.standard_error[n] for n in LEVELS], np.sqrt(np.diag(covariance)), rtol=1e-6)
-    assert both.status["coarse_level"] == "identified"
 
 
 # --- information criteria -------------------------------------------------------------------------

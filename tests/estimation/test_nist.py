@@ -1,4 +1,4 @@
-"""Certified answers of NIST, and far starts from which the minimum is found."""
+"""Certified answers of NIST, from near and far starts."""
 
 from functools import cache
 from pathlib import Path
@@ -6,7 +6,6 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy import optimize
 
 from cddf_jax.estimation.least_squares import least_squares_fit
 
@@ -147,39 +146,3 @@ def test_further_starts_repeat_by_seed():
     one, same, other = (fit_hard("Rat43", "far", starts=8, seed=seed)[0].starts for seed in (0, 0, 1))
     np.testing.assert_array_equal(one, same)
     assert not np.array_equal(one, other)
-
-
-# --- far starts, from which SciPy's least_squares ends elsewhere ---------------------------------
-
-FAR = {  # model, places, truth, far starts
-    "rational of second order": (
-        lambda b, x: b[0] * (x**2 + b[1] * x) / (x**2 + b[2] * x + b[3]),
-        np.geomspace(0.0625, 4.0, 11),
-        [0.3, 0.4, 0.15, 0.2],
-        [[25.0, 39.0, 41.5, 39.0], [-0.06, -20.0, 0.11, 1.2]],
-    ),
-    "saturation of second order": (
-        lambda b, x: b[0] * x**2 / (b[1] + b[2] * x + x**2),
-        np.linspace(0.1, 10.0, 25),
-        [3.0, 6.0, -1.5],
-        [[3.5, 0.17, -4.7], [0.2, 0.67, -15.0]],
-    ),
-}
-
-
-@pytest.mark.parametrize("name", FAR)
-def test_far_starts(name):
-    """Exact data have the truth for their minimum; of noisy ones SciPy, from the truth, finds it."""
-    model, x, truth, starts = FAR[name]
-    places = jnp.asarray(x)
-    predict = lambda b: model(b, places)  # noqa: E731
-    exact = np.asarray(predict(np.array(truth)))
-    noisy = exact + 0.01 * np.std(exact) * np.random.default_rng(7).normal(size=x.size)
-    least = optimize.least_squares(lambda b: np.asarray(predict(b)) - noisy, truth, x_scale="jac").cost
-    for start in starts:
-        fit = least_squares_fit(predict, np.array(start), exact)
-        np.testing.assert_allclose(predict(fit.parameters), exact, atol=1e-5 * float(np.std(exact)))
-        assert fit.success
-        fit = least_squares_fit(predict, np.array(start), noisy)
-        assert np.sum(fit.residuals**2) / 2 == pytest.approx(least, rel=1e-5)
-        assert fit.success

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.optimize import least_squares, minimize
+from scipy.optimize import minimize
 
 from cddf_jax.estimation.least_squares import least_squares_fit
 from cddf_jax.estimation.residuals import InputErrors
@@ -88,28 +88,6 @@ def test_estimated_errors_of_inputs_have_the_largest_restricted_likelihood():
     best = minimize(height, np.log([1e-3, 1e-3, 1e-2]), method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-10})
     expected = np.exp(best.x / 2)
     np.testing.assert_allclose([*found.noise.values(), found.input_noise["x"]], expected, rtol=1e-3)
-
-
-def curve(p):
-    return {"one": p["a"] * jnp.exp(p["b"] * X)}
-
-
-def test_orthogonal_distance_regression_agrees():
-    """Of a curve, with the minimum over parameters and true inputs by SciPy; the errors are small beside the curve."""
-    rng, truth, noise, of_input = np.random.default_rng(5), {"a": 1.0, "b": 0.7}, 0.05, 0.02
-    read = np.asarray(curve(truth)["one"]) + np.hypot(noise, of_input * 0.7 * np.exp(0.7 * X)) * rng.normal(size=ROWS)
-    own = InputErrors(
-        lambda p: {"x": {"one": np.diag(np.asarray(p["a"] * p["b"] * np.exp(p["b"] * X)))}}, {"x": of_input}, {"x": 1.0}
-    )
-    found = least_squares_fit(curve, truth, {"one": read}, noise, inputs=own)
-
-    def distances(u):
-        return np.append((u[0] * np.exp(u[1] * u[2:]) - read) / noise, (u[2:] - X) / of_input)
-
-    expected = least_squares(distances, np.append([1.0, 0.7], X), xtol=1e-12)
-    error = np.sqrt(np.diag(np.linalg.inv(expected.jac.T @ expected.jac)))[:2]
-    np.testing.assert_allclose([*found.standard_error.values()], error, rtol=0.03)
-    assert np.all(np.abs(np.array([*found.value.values()]) - expected.x[:2]) < 0.1 * error)
 
 
 def test_inputs_without_errors_change_nothing():

@@ -153,26 +153,6 @@ def test_two_tendons_in_one_place_leave_their_tensions_open():
 
 
 @pytest.mark.slow
-def test_with_friction_of_a_tendon_that_is_paid_out_three_tendons_are_found():
-    """Tendon 3 is paid out, its friction acts the other way, and the tip leaves the surface: the rank is 3."""
-
-    def tension(place, friction):
-        return cddf.solve(body(friction), cddf.TipPosition(place), nodes=8, throw=False).base_tension
-
-    def tip(tension, friction):
-        return cddf.solve(body(friction), tension, nodes=8).tip_position
-
-    place = tip(PULLED, MU)
-    found = cddf.solve(body(), cddf.TipPosition(place), nodes=8)
-    np.testing.assert_allclose(found.base_tension, PULLED, rtol=1e-7)
-    assert int(found.target_rank) == 3
-    by_place, by_friction = jax.jit(jax.jacfwd(tension, (0, 1)))(place, MU)
-    slope, friction_slope = jax.jacfwd(tip, (0, 1))(jnp.asarray(PULLED), MU)
-    np.testing.assert_allclose(by_place @ slope, np.eye(3), atol=1e-6)
-    np.testing.assert_allclose(by_friction, -jnp.linalg.solve(slope, friction_slope), rtol=1e-6)
-
-
-@pytest.mark.slow
 def test_a_place_is_reached_with_directions_that_fit_where_there_are_some():
     """Beside these pulls, others reach the place with a tendon of which a part sticks: no direction fits it."""
     pull = (12.145884, 22.237196, 0.0)
@@ -184,20 +164,6 @@ def test_a_place_is_reached_with_directions_that_fit_where_there_are_some():
     assert found.status == cddf.Status.successful
     np.testing.assert_allclose(found.tip_position, pulled.tip_position, atol=1e-9)
     assert float(jnp.sum(found.base_tension)) <= sum(pull) + 1e-6
-
-
-def test_the_tip_angle_of_a_helix_gives_back_its_tension():
-    helix = cddf.Manipulator(
-        length=L,
-        outer_radius=RADIUS,
-        inner_radius=0.0,
-        tendons=(cddf.Tendon(d, angle=cddf.Linear(0.0, 3.0, L)),),
-        youngs_modulus=E,
-        friction_coefficient=MU,
-    )
-    pulled = cddf.solve(helix, 10.0, nodes=8)
-    found = cddf.solve(helix, cddf.TipAngle(pulled.tip_angle), nodes=8)
-    assert float(found.base_tension[0]) == pytest.approx(10.0, rel=1e-8)
 
 
 @pytest.mark.parametrize(
