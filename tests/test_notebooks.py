@@ -1,7 +1,5 @@
 """Every notebook is stored without outputs and ends in checks; `make docs` runs them all."""
 
-import base64
-import importlib
 import json
 import re
 
@@ -33,46 +31,3 @@ def test_a_notebook_is_stored_bare(path):
 def test_the_notebooks_are_those_of_the_series():
     """01 to 09, none left out and none twice."""
     assert [path.stem[:3] for path in NOTEBOOKS] == [f"{number:02}_" for number in range(1, 10)]
-
-
-# --- their pictures on the site --------------------------------------------------------------------
-
-
-@pytest.fixture
-def runs(monkeypatch):
-    """docs/run_notebooks.py, with a run that costs nothing: one picture of 3 by 2 pixels below the second heading."""
-    monkeypatch.syspath_prepend(str(FOLDER.parent / "docs"))
-    module, runs = importlib.import_module("run_notebooks"), []
-    png = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + (3).to_bytes(4) + (2).to_bytes(4)
-    outputs = [
-        nbformat.v4.new_output("display_data", {"image/png": base64.b64encode(png).decode()}),
-        nbformat.v4.new_output("display_data", {"text/plain": "no picture"}),
-    ]
-    cells = [
-        nbformat.v4.new_markdown_cell("# Title\n\ntext"),
-        nbformat.v4.new_markdown_cell("## Below it"),
-        nbformat.v4.new_code_cell("draw()", outputs=outputs),
-    ]
-
-    def run(path):
-        runs.append(path.stem)
-        return nbformat.v4.new_notebook(cells=cells)
-
-    monkeypatch.setattr(module, "_run", run)
-    return module, runs, png
-
-
-def test_pictures_are_redrawn_where_something_changed(runs, tmp_path, monkeypatch):
-    module, ran, png = runs
-    module.run_notebooks(tmp_path)
-    assert ran == [path.stem for path in NOTEBOOKS]
-    assert (tmp_path / ran[0] / "1.png").read_bytes() == png
-    assert module.kept(tmp_path / ran[0])["pictures"] == [{"file": "1.png", "heading": "Below it", "width": 3}]
-    ran.clear()
-    module.run_notebooks(tmp_path)
-    assert ran == []
-    before = module.made_from
-    monkeypatch.setattr(module, "made_from", lambda path: before(path) + "changed" * (path == NOTEBOOKS[1]))
-    module.run_notebooks(tmp_path)
-    assert ran == [NOTEBOOKS[1].stem]
-    assert len({before(path) for path in NOTEBOOKS}) == len(NOTEBOOKS)

@@ -170,19 +170,6 @@ def test_the_core_imports_nothing_heavy(name):
     assert not set().union(*map(packages, reached(name))) & HEAVY
 
 
-def test_the_statistics_know_nothing_of_manipulators():
-    of_statistics = {"", "numerics", "batch", "estimation"}
-    for name in FILES:
-        if room_of(name) in ("numerics", "estimation"):
-            assert set(map(room_of, reached(name))) <= of_statistics, name
-
-
-def test_only_the_friction_law_knows_friction():
-    """The paper's own algorithms beside the solver have it in their closed forms."""
-    written = {name for name in FILES if "section.friction_coefficient" in (SOURCE / f"{name}.py").read_text()}
-    assert written == {"mechanics/friction", "statics/literal_iteration"}
-
-
 def test_importing_the_package_imports_neither_jax_nor_matplotlib():
     loaded = run("import sys, cddf_jax; dir(cddf_jax); print(*{name.split('.')[0] for name in sys.modules})")
     assert "cddf_jax" in loaded

@@ -178,84 +178,51 @@ def test_from_columns_refuses(columns, message):
 
 # --- what deserves a look ------------------------------------------------------------------------
 
-ONE_ROW = "there is one row only, from which no scatter can be estimated"
-FLAT = "base_tension hardly varies from {} N, so that no slope can be determined; measure at other levels"
-DOWN = (
-    "rows with base_tension{0} below that of the row before: {1} (row {2}: 30 N after 75 N); without a history the "
-    "whole tendon slides as direction{0} says, or is pulled from rest. Give the rows a history (history=True, "
-    "--history, a column step or time), or write direction{0} -1 where all of the tendon slides out, and leave out the "
-    "rows right after the turn, where part of it sticks"
-)
-FROM_REST = DOWN.format("", "2 of 6", 4)
-ANEW = (
-    "rows with base_tension back at its lowest level, from which it rises again: 1 of 6 (row 4: 10 N after 75 N); they "
-    "count as released to this level; if the tendon was fully released in between, give each pull a trial of its own"
-    ", or add rows of 0 N"
-)
-DOWN_OF_TWO = DOWN.format("_2", "1 of 3", 3)
-ABOVE = (
-    "rows with tip_tension{0} more than 5 % above base_tension{0}: {1}; "
-    "are the cells swapped or off zero, or does the tendon slide out (direction{0} -1)?"
-)
-TURNS = "rows with {}; are these degrees under a unit of rad?"
 TWO = {"base_tension": [9, 8], "base_tension_2": [10, 20]}
 
 
 @pytest.mark.parametrize(
-    ("columns", "warnings"),
+    ("columns", "warning"),
     [
-        ({"base_tension": [5, 10], "tip_tension": [4, 9]}, []),
-        ({"base_tension": [5]}, [ONE_ROW]),
+        ({"base_tension": [5, 10], "tip_tension": [4, 9]}, None),
+        ({"base_tension": [5]}, "there is one row only"),
+        ({"base_tension": [5, 5], "trial": ["a", "b"]}, "base_tension hardly varies from 5 N"),
+        ({"base_tension": [9, 5, 9, 5], "tip_tension": [8, 4, 8, 4]}, "2 of 4 (row 3 is row 1 again)"),
+        ({"base_tension": [9, 5, 9], "trial": ["a", "a", "b"]}, None),  # another trial may read the same
         (
-            {"base_tension": [5, 5], "trial": ["a", "b"]},
-            [FLAT.format(5)],
+            {"base_tension": [10, 20, 75, 30, 20, 10], "tip_angle": [0.1, 0.2, 0.7, 0.6, 0.4, 0.2]},
+            "below that of the row before: 2 of 6 (row 4: 30 N after 75 N)",
         ),
-        (
-            {"base_tension": [9, 5, 9, 5], "tip_tension": [8, 4, 8, 4]},
-            ["rows that repeat an earlier one to the last digit: 2 of 4 (row 3 is row 1 again); were they copied?"],
-        ),
-        ({"base_tension": [9, 5, 9], "trial": ["a", "a", "b"]}, []),  # another trial may read the same
-        ({"base_tension": [10, 20, 75, 30, 20, 10], "tip_angle": [0.1, 0.2, 0.7, 0.6, 0.4, 0.2]}, [FROM_REST]),
-        (
-            {"base_tension": [10, 75, 30, 10], "direction": [1, 1, -1, -1]},
-            [DOWN.format("", "1 of 4", 3)],
-        ),
-        ({"base_tension": [10, 40, 75, 10, 40, 75], "step": range(6)}, [ANEW]),
-        ({"base_tension": [10, 40, 75, 0, 10, 40, 75], "step": range(7)}, []),  # fully released in between
-        ({"base_tension": [10, 10, 10], "base_tension_2": [10, 75, 30]}, [DOWN_OF_TWO]),
-        ({"base_tension": [10, 75.1, 75, 75.2, 10.1, 75.3]}, []),  # noise at a level, a fresh start at the lowest
-        ({"base_tension": [10, 75, 30, 40], "trial": ["a", "a", "b", "b"]}, []),  # another trial
-        ({"base_tension": [0, 0.1, 20], "tip_tension": [0.05, 0.15, 19]}, []),  # noise about 0
-        (
-            {"base_tension": [10, 20], "tip_tension": [9, 21.5]},
-            [ABOVE.format("", "1 of 2 (row 2: 21.5 N over 20 N)")],
-        ),
-        (
-            TWO | {"tip_tension_2": [12, 19], "direction_2": [1, 1]},
-            [ABOVE.format("_2", "1 of 2 (row 1: 12 N over 10 N)")],
-        ),
+        ({"base_tension": [10, 75, 30, 10], "direction": [1, 1, -1, -1]}, "1 of 4 (row 3: 30 N after 75 N)"),
+        ({"base_tension": [10, 40, 75, 10, 40, 75], "step": range(6)}, "it rises again: 1 of 6 (row 4: 10 N"),
+        ({"base_tension": [10, 40, 75, 0, 10, 40, 75], "step": range(7)}, None),  # fully released in between
+        ({"base_tension": [10, 10, 10], "base_tension_2": [10, 75, 30]}, "base_tension_2 below that of the row before"),
+        ({"base_tension": [10, 75.1, 75, 75.2, 10.1, 75.3]}, None),  # noise at a level, a fresh start at the lowest
+        ({"base_tension": [10, 75, 30, 40], "trial": ["a", "a", "b", "b"]}, None),  # another trial
+        ({"base_tension": [0, 0.1, 20], "tip_tension": [0.05, 0.15, 19]}, None),  # noise about 0
+        ({"base_tension": [10, 20], "tip_tension": [9, 21.5]}, "(row 2: 21.5 N over 20 N); are the cells swapped"),
+        (TWO | {"tip_tension_2": [12, 19], "direction_2": [1, 1]}, "base_tension_2: 1 of 2 (row 1: 12 N over 10 N)"),
         # sliding out the tip tension is the larger one, by the capstan law
-        (TWO | {"tip_tension_2": [12, 24], "direction_2": [-1, -1]}, []),
+        (TWO | {"tip_tension_2": [12, 24], "direction_2": [-1, -1]}, None),
         # of several tendons an unstated direction is found with the equilibrium, and may be either
-        (TWO | {"tip_tension_2": [12, 19]}, []),
+        (TWO | {"tip_tension_2": [12, 19]}, None),
         (
             {"base_tension": [0, 10, 20], "tip_tension": [-0.1, 9, -0.2], "tip_angle": [0, np.nan, 0.3]},
-            [
-                "rows with tip_tension below 0: 2 of 3 (row 1: -0.1 N); has the zero of the cell drifted?; "
-                "if so let tip_zero be free too"
-            ],
+            "rows with tip_tension below 0: 2 of 3 (row 1: -0.1 N); has the zero of the cell drifted?",
         ),
-        ({"base_tension": [10, 20], "tip_tension": [13, 26], "direction": [-1, -1]}, []),  # sliding out
-        ({"base_tension": [50, 50, 50], "base_tension_2": [0, 10, 20], "tip_tension": [30, 31, 32]}, []),
+        ({"base_tension": [10, 20], "tip_tension": [13, 26], "direction": [-1, -1]}, None),  # sliding out
+        ({"base_tension": [50, 50, 50], "base_tension_2": [0, 10, 20], "tip_tension": [30, 31, 32]}, None),
         (
             {"wrap_angle": [90, 180], "weight": [5, 5], "pulling_tension": [9, 18]},
-            [TURNS.format("wrap_angle beyond 5 turn(s): 2 of 2 (row 1: 90 rad)")],
+            "wrap_angle beyond 5 turn(s): 2 of 2 (row 1: 90 rad)",
         ),
-        ({"wrap_angle": [np.pi / 2, 6 * np.pi], "weight": [5, 5], "pulling_tension": [9, 18]}, []),
+        ({"wrap_angle": [np.pi / 2, 6 * np.pi], "weight": [5, 5], "pulling_tension": [9, 18]}, None),
     ],
-)
-def test_warnings(columns, warnings):
-    assert list(Measurements.from_columns(**columns).warnings) == warnings
+)  # fmt: skip
+def test_warnings(columns, warning):
+    found = Measurements.from_columns(**columns).warnings
+    assert len(found) == (warning is not None)
+    assert warning is None or warning in found[0]
 
 
 # --- tables told apart ---------------------------------------------------------------------------

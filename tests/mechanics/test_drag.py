@@ -332,15 +332,6 @@ def test_energy_of_drag_alone():
     np.testing.assert_allclose(balance.friction_loss, [work - elastic], rtol=2e-3)  # nodes do not move to kinks
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("direction", "closes"), [(+1, 1e-3), (-1, 1e-11)], ids=["in", "out"])
-def test_the_energy_of_both_frictions_balances(direction, closes):
-    """Virtual work, docs/theory.md, whichever way friction acts; sliding in, the tendon is slack at first."""
-    balance = cddf.energy_balance(EXACT, 40.0, direction=direction, num_steps=64)
-    assert abs(balance.residual) < closes * balance.actuation_work[0]
-    assert direction * balance.friction_loss[0] > 0
-
-
 # --- refusals and files --------------------------------------------------------------------------
 
 

@@ -9,7 +9,6 @@ from scipy.integrate import quad
 import cddf_jax as cddf
 
 ROUNDING = 1e-12  # the same operations in another order
-SCALED = 1e-10  # the passes stop at a relative change of 1e-12
 
 
 @pytest.mark.parametrize("kinematics", ["published", "exact"])

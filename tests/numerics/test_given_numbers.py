@@ -24,24 +24,15 @@ MASKED = np.ma.masked_array([10.0, 20.0], mask=[False, True])
 # each of them NumPy turns into float64 without an error
 REFUSED = {
     "a unit": (PULL, "a number with a unit"),
-    "units in a list": ([1 * UNITS.N, 2 * UNITS.N], "a number with a unit"),
     "an array with a unit": (np.array([1.0, 2.0]) * UNITS.N, "a number with a unit"),
-    "objects with a unit": (np.array([1 * UNITS.N, 2 * UNITS.N], object), "a number with a unit"),
     "an array of xarray in pounds": (xr.DataArray([1.0], attrs={"units": "lbf"}), "a number with a unit"),
     "a unit inside xarray": (xr.DataArray(np.array([1.0]) * UNITS.lbf), "a number with a unit"),
     "a mask": (MASKED, "a masked value"),
-    "the masked constant": (np.ma.masked, "a masked value"),
     "text": ("75", "text"),
-    "texts": (np.array(["75"]), "text"),
-    "bytes": (b"75", "text"),
-    "texts of pandas": (pd.Series(["75"]), "text"),
     "a truth value": (True, "a truth value"),
-    "truth values": (np.array([True]), "a truth value"),
     "truth values of JAX": (jnp.array([True]), "a truth value"),
     "a complex number": (75 + 1j, "a complex number"),
-    "complex numbers": (np.array([75 + 1j]), "a complex number"),
     "a date": (np.datetime64("2026-01-01"), "a date or duration"),
-    "dates of pandas": (pd.to_datetime(["2026-01-01"]), "a date or duration"),
     "a duration": (np.timedelta64(75, "s"), "a date or duration"),
     "nothing": (None, "something other than a number"),
     "a mapping": ({"a": 75.0}, "something other than a number"),
@@ -76,28 +67,19 @@ ENTRIES = {
     "solve": lambda given: cddf.solve(paper_body(), given),
     "direction": lambda given: cddf.solve(paper_body(), 75.0, direction=given),
     "length": lambda given: cddf.conical(**PAPER | {"length": given}),
-    "radius": lambda given: cddf.conical(**PAPER | {"outer_radius": (given, 0.013)}),
-    "modulus": lambda given: cddf.conical(**PAPER | {"youngs_modulus": given}),
     "tendon": lambda given: cddf.Tendon(offset=given),
     "point mass": lambda given: cddf.PointMass(arc_length=0.1, mass=given),
     "profile": lambda given: cddf.Piecewise.linear([0.0, given], [0.02, 0.01]),
     "loads": lambda given: cddf.Loads(tip_force=(0.0, given)),
-    "moment": lambda given: cddf.Loads(tip_moment=given),
     "target": cddf.TipAngle,
-    "place": lambda given: cddf.TipPosition((0.1, given)),
     "trace": lambda given: cddf.trace(paper_body(), [10.0, given]),
-    "before": lambda given: cddf.trace(paper_body(), [10.0], before=given),
     "axis": lambda given: cddf.sweep(paper_body(), {"base_tension": [10.0, given]}),
-    "sweep": lambda given: cddf.sweep(paper_body(), {"youngs_modulus": [1e6]}, given),
     "column": lambda given: cddf.Measurements.from_columns(**TABLE | {"tip_tension": [8.0, given]}),
-    "case": cddf.LoadCase,
-    "number of a case": lambda given: cddf.LoadCase(10.0, numbers={"youngs_modulus": given}),
     "limit": lambda given: cddf.Limit("wall_thickness", least=given),
     "bounds of a design": lambda given: cddf.design(
         paper_body(), cddf.Least("mass"), ("outer_radius",), {"outer_radius": (8e-3, given)}, cases=CASE
     ),
     "start": lambda given: cddf.least_squares_fit(lambda p: p["a"], {"a": given}, np.ones(1)),
-    "data": lambda given: cddf.least_squares_fit(lambda p: p["a"], {"a": 1.0}, {"y": given}),
     "noise": lambda given: cddf.least_squares_fit(lambda p: p["a"], {"a": 1.0}, np.ones(1), given),
     "prior": lambda given: cddf.least_squares_fit(
         lambda p: p["a"], {"a": 1.0}, np.ones(1), 0.1, priors={"a": (1.0, given)}
@@ -105,13 +87,10 @@ ENTRIES = {
     "bounds": lambda given: cddf.least_squares_fit(
         lambda p: p["a"], {"a": 1.0}, np.ones(1), 0.1, bounds={"a": (0.0, given)}
     ),
-    "known number": lambda given: cddf.BenchSetting(given={"tip_gain": given}),
     "marker": lambda given: cddf.BenchSetting(markers={"head": cddf.Marker(given)}),
     "past": lambda given: cddf.fit(paper_body(), IN_ORDER, before=given),
     "noise of the base": lambda given: cddf.fit(paper_body(), IN_ORDER, noise={"base_tension": given}),
-    "range": lambda given: cddf.latin_hypercube({"length": (0.1, given)}, 4),
     "candidate": lambda given: Candidate("pull", {"base_tension": given}, {"tip_tension": 0.1}),
-    "noise of a candidate": lambda given: Candidate("pull", {"base_tension": 10.0}, {"tip_tension": given}),
 }
 
 

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import PAPER, paper_body, paper_with
+from bodies import PAPER, paper_body
 from scipy.integrate import dblquad
 
 import cddf_jax as cddf
@@ -40,32 +40,6 @@ def test_defaults_are_exact_kinematics_and_the_friction_of_the_manipulator():
     body = cddf.Manipulator(0.14, 0.02, 0.007, tendons, 1.4e6, 0.42)
     np.testing.assert_array_equal(body.tendon_friction, [0.1, 0.42])
     assert (body.kinematics, cddf.conical(**PAPER).kinematics) == ("exact", "exact")
-
-
-def test_breaks_of_body_and_tendons_are_gathered():
-    outer = cddf.Piecewise([0.03], [cddf.Constant(0.02), cddf.Constant(0.015)])
-    tendons = cddf.Tendon(cddf.Piecewise.linear([0, 0.05, 0.14], [0.01, 0.012, 0.01])), cddf.Tendon(0.01, -1, end=0.08)
-    body = cddf.Manipulator(0.14, outer, 0.007, tendons, 1.4e6, 0.42)
-    np.testing.assert_allclose(np.sort(body.breakpoints), [0.03, 0.05, 0.08])
-    assert body.slanted
-    assert paper_body().breakpoints.shape == (0,)
-    assert not paper_body().slanted
-
-
-def test_a_cross_section_has_the_derivatives_of_the_profiles():
-    offset = cddf.Spline([0, 0.04, 0.09, 0.14], [0.010, 0.012, 0.011, 0.009])
-    body = paper_with(cddf.Tendon(offset, -1))
-    s, h = 0.06, 1e-4
-    section = body.cross_section(s)
-    cubic = np.polyfit([0, 0.04, 0.09, 0.14], [0.010, 0.012, 0.011, 0.009], 3)  # four knots: one cubic
-    outer, slope = 0.02 - 0.05 * s, -0.05
-    np.testing.assert_allclose(section.stiffness_rate, 1.4e6 * np.pi * outer**3 * slope, rtol=ROUNDING)
-    np.testing.assert_allclose(section.offset, [np.polyval(cubic, s)], rtol=1e-10)
-    np.testing.assert_allclose(section.offset_slope, [np.polyval(np.polyder(cubic), s)], rtol=1e-10)
-    np.testing.assert_allclose(section.offset_bend, [np.polyval(np.polyder(cubic, 2), s)], rtol=1e-10)
-    np.testing.assert_array_equal(section.side, [-1])
-    change = (body.stiffness(s + h) - body.stiffness(s - h)) / (2 * h)
-    np.testing.assert_allclose(section.stiffness_rate, change, rtol=1e-5)  # central difference, h^2
 
 
 def test_numbers_can_be_traced_and_mapped():

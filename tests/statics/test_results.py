@@ -106,11 +106,6 @@ def test_a_wrong_number_of_tensions(tension):
         cddf.solve(two_slanted_tendons(), tension)
 
 
-def test_a_wrong_number_of_directions():
-    with pytest.raises(ValueError, match=r"solve: direction must be a number or one per tendon \(1\), got shape \(2,"):
-        cddf.solve(paper_body(), 75.0, direction=(+1, -1))
-
-
 @pytest.mark.parametrize("nodes", [3, 16.0, True])
 def test_nodes_are_a_whole_number_of_four_or_more(nodes):
     with pytest.raises(ValueError, match="nodes must be a whole number of 4 or more, got"):
