@@ -10,7 +10,7 @@ from itertools import pairwise, product
 from typing import Any, NamedTuple
 
 import numpy as np
-from bodies import PlainBody, constant, straight
+from bodies import PlainBody
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
@@ -359,86 +359,3 @@ def circle_tip(kappa: float, length: float) -> tuple[float, float, float]:
 def buckling_force(stiffness: float, length: float) -> float:
     """Euler's load of a uniform cantilever under an axial dead force at its tip: pi^2 E J / (4 L^2)."""
     return np.pi**2 * stiffness / (4 * length**2)
-
-
-# --- random problems -----------------------------------------------------------------------------
-
-
-class LoadedProblem(NamedTuple):
-    """A problem, its solution, and what `cddf.conical(**conical)` and `cddf.Loads(*loads)` need for the same."""
-
-    plain: PlainBody
-    conical: dict[str, Any]
-    base_tension: tuple[float, ...]
-    loads: PlainLoads
-    density: float
-    direction: tuple[int, ...]
-    reference: LoadedReference
-
-
-def random_loaded(
-    rng: np.random.Generator, kinematics: str, num_tendons: int = 1, slanted: bool | None = None
-) -> LoadedProblem:
-    """A conical body, one or two tendons and loads, drawn until there is an equilibrium, stable as the path to it.
-
-    Without friction the first tendon alone would bend the body by 0.2 to 2.5 rad or so; loads of either
-    kind count up to a few E J / L^2 (forces) or E J / L (moments). In half of the cases they oppose the
-    tendons until the curvature changes sign. d |kappa| < 0.8, tip angle below 170 degrees. Two tendons
-    lie on sides +1 and -1, the second sliding out; a third of the bodies have slanted offsets unless
-    `slanted` says otherwise.
-    """
-    opposing, third = rng.random() < 0.5, rng.random() < 1 / 3
-    slanted = third if slanted is None else slanted
-    while True:
-        problem = _draw_loaded(rng, kinematics, num_tendons, opposing, slanted)
-        try:
-            found = loaded_reference(*problem[0:1], *problem[2:6])
-        except (NotFoundError, FloatingPointError):
-            continue
-        plain = problem[0]
-        offset = max(plain.offsets[0](0.0), plain.offsets[0](plain.length))
-        kappa = found.curvature
-        turns = np.max(kappa) * np.min(kappa) < -0.01 * np.max(np.abs(kappa)) ** 2
-        fits = np.max(np.abs(kappa)) * offset < 0.8 and abs(found.tip_angle) < np.radians(170)
-        if fits and (turns or not opposing):
-            return LoadedProblem(*problem, found)
-
-
-def _draw_loaded(rng: np.random.Generator, kinematics: str, count: int, opposing: bool, slanted: bool) -> tuple:
-    length, taper, bore = rng.uniform(0.05, 0.4), rng.uniform(0.4, 1.0), rng.uniform(0.1, 0.6)
-    outer = length / rng.uniform(3, 16)
-    inner, tip_outer = bore * taper * outer, taper * outer
-    d = inner + (tip_outer - inner) * rng.uniform(0.2, 0.9)
-    tip_d = d * rng.uniform(0.85, 0.99) if slanted else d
-    E, mu, density = 10 ** rng.uniform(5, 6.5), rng.uniform(0.05, 0.5), rng.uniform(500, 3000)
-    sides, direction = (+1, -1)[:count], (+1, -1)[:count]
-    offsets = [straight(d, tip_d, length)] * count if slanted else [constant(d)] * count
-    slopes = [constant((tip_d - d) / length)] * count if slanted else None
-    radii = straight(outer, tip_outer, length), constant(inner)
-    plain = PlainBody(length, *radii, offsets, E, [mu] * count, kinematics, sides, slopes)
-    unit = E * plain.second_moment(0.4 * length) / length
-    tensions = (unit * rng.uniform(0.2, 2.5) / d,)
-    if count == 2:
-        tensions = (tensions[0], tensions[0] * rng.uniform(0.1, 0.5))
-    across = -rng.uniform(0.5, 5) if opposing else rng.uniform(-1.0, 4)
-    force = (float(rng.uniform(-1.0, 1.0) * unit / length), float(across * unit / length))
-    moment = float(unit * (rng.uniform(-1, 0.5) if opposing else rng.uniform(-0.3, 0.8)))
-    angle = -np.pi / 2 if opposing else rng.uniform(-np.pi, np.pi)
-    heavy = rng.uniform(0, 3) * unit / length / mass(plain, density)
-    gravity = (float(heavy * np.cos(angle)), float(heavy * np.sin(angle)))
-    has = rng.random(3) < 0.6
-    if not has.any():
-        has[0] = True
-    loads = PlainLoads(force if has[0] else (0.0, 0.0), moment if has[1] else 0.0, gravity if has[2] else (0.0, 0.0))
-    conical = {
-        "length": length,
-        "outer_radius": (outer, tip_outer),
-        "inner_radius": inner,
-        "tendon_offset": (d, tip_d) if slanted else d,
-        "youngs_modulus": E,
-        "friction_coefficient": mu,
-        "density": density,
-        "num_tendons": count,
-        "kinematics": kinematics,
-    }
-    return plain, conical, tuple(map(float, tensions)), loads, density, direction

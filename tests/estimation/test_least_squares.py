@@ -121,26 +121,6 @@ def test_too_few_data_to_estimate_the_noise():
 DECAY = 3.0 * np.exp(-0.8 * X) + 0.5 + 0.03 * np.random.default_rng(2).normal(size=X.size)
 
 
-@pytest.mark.parametrize("sigma", [None, 0.03])
-def test_curve_fit_agrees(sigma):
-    start = {"height": 1.0, "rate": 1.0, "floor": 1.0}
-    fit = least_squares_fit(decay, start, DECAY, sigma)
-    names = ("height", "rate", "floor")
-    expected, covariance = optimize.curve_fit(
-        lambda x, height, rate, floor: height * np.exp(-rate * x) + floor,
-        X,
-        DECAY,
-        p0=np.ones(3),
-        sigma=sigma and np.full(X.size, sigma),
-        absolute_sigma=sigma is not None,
-        ftol=1e-12,
-        xtol=1e-12,
-    )
-    np.testing.assert_allclose([fit.value[n] for n in names], expected, rtol=1e-6)
-    # curve_fit differentiates numerically
-    np.testing.assert_allclose([fit.standard_error[n] for n in names], np.sqrt(np.diag(covariance)), rtol=1e-4)
-
-
 def test_bounded_least_squares_agrees():
     """One active bound among three parameters of a curved model, against SciPy's trust region."""
     bounds = {"height": (0.0, None), "rate": (0.1, 5.0), "floor": (0.6, None)}  # the best floor is about 0.5
