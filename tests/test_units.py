@@ -56,11 +56,7 @@ def test_counts_have_a_unit_with_a_scale():
     [
         ("140", "length", "L needs a unit of length, got '140'; write for example '12.5 mm'"),
         ("140 N", "length", "L needs a unit of length, got '140 N'; write for example '12.5 mm'"),
-        (
-            "5 Grad",
-            "angle",
-            "L needs a unit of angle, got '5 Grad' with the unknown unit 'Grad'; write for",
-        ),
+        ("5 Grad", "angle", "L needs a unit of angle, got '5 Grad' with the unknown unit 'Grad'; write for"),
         ("5 mm", "strain", "L needs a unit of strain, got '5 mm'; write for example '12.5 %'"),
         ("140 mmm", "length", "L needs a unit of length, got '140 mmm' with the unknown unit 'mmm'; write"),
         ("0.42 mm", "dimensionless", "L is a plain number, got '0.42 mm'; leave the unit 'mm' out"),

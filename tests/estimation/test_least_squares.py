@@ -256,16 +256,6 @@ def test_a_parameter_without_effect():
     assert (fit.restarted, fit.starts.size) == ("", 0)  # other starts tell no more
 
 
-def test_a_parameter_known_to_no_better_than_half_its_size():
-    """The rule of the library: identified below a relative standard error of 0.5."""
-    data = 0.02 * X + np.random.default_rng(5).normal(size=X.size)
-    fit = least_squares_fit(lambda p: p["a"] * X, {"a": 0.02}, data, 1.0, {"a": (0.0, None)})
-    estimate, error = np.sum(X * data) / np.sum(X**2), 1.0 / np.sqrt(np.sum(X**2))
-    assert error > 0.5 * abs(estimate)
-    assert fit.status["a"] in ("not identified", "at bound")
-    assert fit.standard_error["a"] == np.inf
-
-
 # --- several groups of data ----------------------------------------------------------------------
 
 
@@ -380,10 +370,7 @@ def test_too_few_steps_are_a_failure():
         ({"sigma": [1.0, 2.0]}, r"sigma has 2 entries for 1 groups of data \(data\)"),
         ({"observed": np.where(X > 2.9, np.nan, NOISY)}, "data: entry 30 is not finite; leave it out"),
         ({"observed": np.zeros(0)}, "there are no data to fit"),
-        (
-            {"observed": {"fine": NOISY}, "sigma": {"rough": 0.3}},
-            "sigma is given for 'rough', which is not a group of da",
-        ),
+        ({"observed": {"fine": NOISY}, "sigma": {"rough": 0.3}}, "sigma is given for 'rough', which is not a group"),
         ({"observed": NOISY[:4]}, r"predict gives arrays of \[30\] numbers where the data have \[4\]"),
         ({"scales": {"a": 0.0}}, r"scale of 'a': needs a number > 0"),
         ({"start": {}}, "start: there is no parameter to fit"),

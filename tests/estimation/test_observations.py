@@ -130,23 +130,6 @@ def test_units_do_not_matter():
     np.testing.assert_allclose(other.covariance / unit**2, fit.covariance, rtol=2e-3)
 
 
-def test_groups_have_their_own_noise():
-    """Two groups at once, one constant and one in proportion, are as far apart as each alone."""
-    x = np.linspace(1.0, 20.0, 400)
-    rng = np.random.default_rng(7)
-    data = {"even": 2 * x + 0.3 * rng.normal(size=400), "steep": 3 * x * (1 + 0.02 * rng.normal(size=400))}
-    fit = least_squares_fit(
-        lambda p: {"even": p["a"] * x, "steep": p["b"] * x}, START, data, {"even": None, "steep": Noise(0.0, None)}
-    )
-    assert list(fit.noise_model) == ["steep"]
-    assert fit.noise["even"] == pytest.approx(np.std(data["even"] - fit.value["a"] * x), rel=5e-3)
-    # of noise in proportion alone the best slope is the mean of the ratios, the fraction their scatter over it
-    ratio = data["steep"] / x
-    assert fit.value["b"] == pytest.approx(np.mean(ratio), rel=1e-6)
-    assert fit.noise_model["steep"].fraction == pytest.approx(np.std(ratio, ddof=1) / np.mean(ratio), rel=1e-3)
-    assert fit.noise_model["steep"].floor == 0.0
-
-
 @pytest.mark.parametrize(
     "sigma", [Noise(-0.1, None), Noise(0.0, 0.0), Noise(np.nan, 0.1), {"data": Noise(0.1, -1.0)}, [Noise(0.0, 0.0)]]
 )

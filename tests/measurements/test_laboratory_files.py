@@ -160,18 +160,15 @@ def test_directions_in_words(tmp_path):
 
 
 GUESSES = {  # what an engineer says who reads the heads
-    "F_base [N],F_tip [N]": "base_tension [N],tip_tension [N]",
     "LC1 (N),LC2 (N)": "base_tension [N],tip_tension [N]",  # two cells on one tendon
     "Kraft_oben (kN),Kraft_unten (kN),Winkel (°)": "tip_tension [kN],base_tension [kN],tip_angle [°]",
     "Seilkraft [N],EM_X (mm),EM_Y (mm),EM_Z (mm)": "base_tension [N],tip_x [mm],tip_y [mm],tip_z [mm]",
     "Zeit_ms,cell1,cell2": "time [ms],base_tension [N],tip_tension [N]",
     "cell_base (g),bend_deg": "base_tension [gf],tip_angle [deg]",
     "F_soll [N],F_ist [N],Weg [mm],U [V]": ",base_tension [N],,",
-    "Motor pos [deg],Fx [N],Cable [N]": ",tip_force_x [N],base_tension [N]",
     "head_x [cm],tip pos x [mm],F [N]": ",tip_x [mm],base_tension [N]",
     "Umschlingungswinkel [rad],Gewicht [N],Zugkraft [N]": "wrap_angle [rad],weight [N],pulling_tension [N]",
     'F "a" [N],`F` $b [N]': "base_tension [N],tip_tension [N]",
-    "F=ma [N],column 2": "base_tension [N],",
 }  # fmt: skip
 
 

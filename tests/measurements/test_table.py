@@ -161,10 +161,7 @@ def test_from_columns():
         ({"base_tension": [1, 2], "tip_tension": [1]}, "bench: the columns differ in length ({'base_tension': 2, 't"),
         ({"base_tension": []}, "bench: has no rows; add measurements"),
         ({"base_tension": 5.0}, "bench: column base_tension: needs one list of numbers, got shape ()"),
-        (
-            {"base_tension": ["a"]},
-            "bench: column base_tension: text cannot be used, got 'a'; give the number alone, in SI",
-        ),
+        ({"base_tension": ["a"]}, "bench: column base_tension: text cannot be used, got 'a'; give the number alone,"),
         ({"base_tension": [1, -2]}, "bench: row 2, column base_tension: must be 0 or more, got -2 N"),
         ({"base_tension": [1], "tip_x": [np.inf]}, "bench: row 1, column tip_x: must be finite, got inf"),
         ({"base_tensoin": [1]}, "bench: unknown column 'base_tensoin'; did you mean base_tension?"),

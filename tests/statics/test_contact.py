@@ -55,13 +55,6 @@ def test_a_hairpin_whose_legs_lie_on_each_other(bend, touches):
     assert (cddf.self_contact(eq) is not None) == touches
 
 
-def test_strain_of_a_circle():
-    """R kappa of the outer radius, the same all along: the place is the first."""
-    eq = bent(160.0)
-    assert eq.peak_strain == pytest.approx(RADIUS * np.radians(160.0) / LENGTH, rel=1e-9)
-    assert eq.peak_strain_at == pytest.approx(0.0, abs=1e-9)
-
-
 def test_the_strain_of_a_cone_is_largest_at_its_tip():
     """Kappa = T d / (E J), published kinematics with T d^2 beside E J, docs/theory.md; the tip is the thinnest."""
     eq = cddf.solve(paper_body(), 75.0)

@@ -42,12 +42,6 @@ def test_numbers_in_single_precision_stay_there(case):
     assert ours.status == cddf.Status.successful
 
 
-def test_a_plain_tension_follows_the_body_and_a_double_one_raises_it():
-    body = single(paper_body("exact"))
-    assert_all_single(cddf.solve(body, 75.0))
-    assert cddf.solve(body, jnp.asarray(75.0, jnp.float64)).tip_tension.dtype == jnp.float64
-
-
 def test_without_x64_everything_is_single():
     """Against the tip tension printed in docs/theory.md (16)."""
     with jax.enable_x64(False):

@@ -169,11 +169,7 @@ def test_a_place_is_reached_with_directions_that_fit_where_there_are_some():
 @pytest.mark.parametrize(
     ("target", "options", "message"),
     [
-        (
-            [cddf.TipPosition((0.1, 0.1, 0.0)), 1.0, 2.0],
-            {},
-            "a TipPosition stands for all base tensions; give it alone",
-        ),
+        ([cddf.TipPosition((0.1, 0.1, 0.0)), 1.0, 2.0], {}, "a TipPosition stands for all base tensions; give it"),
         (cddf.TipPosition((0.1, 0.1)), {}, r"3 components, m, in space, got shape \(2,\)"),
         (
             cddf.TipPosition((0.1, 0.1, 0.0), minimum_tension=(1.0, 2.0)),
