@@ -10,7 +10,6 @@ in G. At its end u jumps, and so does the direction of a tendon that winds: by a
 its tension. Derivatives of G and t are taken by complex steps.
 """
 
-from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -31,19 +30,21 @@ DISCS = {0.05: 0.010, 0.10: 0.010, 0.15: 0.010, 0.20: 0.015}  # kg by place
 GRAVITY, TIP_FORCE = np.array([1.0, -4.0, 2.0]), np.array([0.0, 0.02, 0.03])
 
 
-def robot(masses=DISCS, **numbers):
+def robot():
     """Discs on a thin rod carry tendons outside it; one of the tendons ends half way, another winds."""
     tendons = [
         cddf.Tendon(OFFSET, angle=cddf.Linear(angle, angle + 2 * np.pi * turns, L) if turns else angle, end=end)
         for angle, turns, end in zip(ANGLES, TURNS, ENDS, strict=True)
     ]
     return cddf.Manipulator(
-        **{
-            **{"length": L, "outer_radius": RADIUS, "inner_radius": 0.0, "tendons": tendons, "youngs_modulus": E},
-            **{"poissons_ratio": POISSON, "friction_coefficient": MU},
-            **{"point_masses": [cddf.PointMass(s, mass) for s, mass in masses.items()]},
-            **numbers,
-        }
+        length=L,
+        outer_radius=RADIUS,
+        inner_radius=0.0,
+        tendons=tendons,
+        youngs_modulus=E,
+        poissons_ratio=POISSON,
+        friction_coefficient=MU,
+        point_masses=[cddf.PointMass(s, mass) for s, mass in DISCS.items()],
     )
 
 
@@ -60,9 +61,9 @@ def tangents(s, u):
     return rho, w / np.sqrt(np.sum(w**2, axis=-1, keepdims=True))
 
 
-def residual(s, u, tension, moment, stiffness):
+def residual(s, u, tension, moment):
     rho, t = tangents(s, u)
-    return stiffness @ u - moment + np.sum(np.cross(rho, tension[:, None] * t), axis=0)
+    return K @ u - moment + np.sum(np.cross(rho, tension[:, None] * t), axis=0)
 
 
 def complex_step(function, at):
@@ -71,63 +72,62 @@ def complex_step(function, at):
     return np.stack([np.imag(function(at + 1j * step * own)) / step for own in np.eye(at.size)], axis=-1)
 
 
-def strain(s, tension, moment, stiffness):
+def strain(s, tension, moment):
     """By Newton's method."""
-    u = np.linalg.solve(stiffness, moment)
+    u = np.linalg.solve(K, moment)
     for _ in range(30):
-        miss = residual(s, u, tension, moment, stiffness)
-        u = u - np.linalg.solve(complex_step(lambda x: residual(s, x, tension, moment, stiffness), u), miss)
+        miss = residual(s, u, tension, moment)
+        u = u - np.linalg.solve(complex_step(lambda x: residual(s, x, tension, moment), u), miss)
         if np.max(np.abs(miss)) < 1e-16:
             break
     return u
 
 
-def after_a_jump(s, tension, moment, before, there, mu, stiffness):
+def after_a_jump(s, tension, moment, before, there):
     """The tensions behind the place where a tendon ends."""
-    came, left = tangents(s, strain(s, np.where(before, tension, 0.0), moment, stiffness))[1], tension
+    came, left = tangents(s, strain(s, np.where(before, tension, 0.0), moment))[1], tension
     for _ in range(60):
-        goes = tangents(s, strain(s, np.where(there, left, 0.0), moment, stiffness))[1]
+        goes = tangents(s, strain(s, np.where(there, left, 0.0), moment))[1]
         angle = 2 * np.arcsin(np.linalg.norm(goes - came, axis=-1) / 2)
-        left = np.where(there, tension * np.exp(-mu * angle), tension)
+        left = np.where(there, tension * np.exp(-MU * angle), tension)
     return left
 
 
-def rates(s, tension, moment, force, there, mu, stiffness):
+def rates(s, tension, moment, force, there):
     """The strain, and how fast tensions fall along the axis."""
     pulling = np.where(there, tension, 0.0)
-    u = strain(s, pulling, moment, stiffness)
-    slope = complex_step(lambda x: residual(s, x, pulling, moment, stiffness), u)
+    u = strain(s, pulling, moment)
+    slope = complex_step(lambda x: residual(s, x, pulling, moment), u)
     moment_rate = -np.cross([1.0, 0.0, 0.0], force) - np.cross(u, moment)
-    by_s = complex_step(lambda x: residual(x[0], u + 0j, pulling, moment, stiffness), s)[:, 0]
-    by_tension = complex_step(lambda x: residual(s, u, x, moment, stiffness), pulling)
+    by_s = complex_step(lambda x: residual(x[0], u + 0j, pulling, moment), s)[:, 0]
+    by_tension = complex_step(lambda x: residual(s, u, x, moment), pulling)
     t = tangents(s, u)[1]
     t_by_s = complex_step(lambda x: tangents(x[0], u + 0j)[1], s)[..., 0]
     t_by_u = complex_step(lambda x: tangents(s, x)[1], u)
     rate = np.zeros(3)
     for _ in range(60):
         turn = np.linalg.solve(slope, moment_rate - by_s - by_tension @ rate)
-        new = np.where(there, -mu * np.linalg.norm(t_by_s + t_by_u @ turn + np.cross(u, t), axis=-1) * pulling, 0.0)
+        new = np.where(there, -MU * np.linalg.norm(t_by_s + t_by_u @ turn + np.cross(u, t), axis=-1) * pulling, 0.0)
         done, rate = np.max(np.abs(new - rate)) < 1e-13, new
         if done:
             break
     return u, rate, moment_rate
 
 
-def integrated(base_moment, pull, mu=MU, modulus=E, *, loaded=True):
+def integrated(base_moment):
     """Tensions where tendons end, tip and its frame, and the moment that is left at the tip."""
-    gravity, tip_force = (GRAVITY, TIP_FORCE) if loaded else (np.zeros(3), np.zeros(3))
-    stiffness, at_end = K * (modulus / E), np.array(pull, float)
-    frame, place, tension, moment = np.eye(3), np.zeros(3), np.array(pull, float), np.array(base_moment, float)
+    at_end, tension, moment = PULL, PULL, np.array(base_moment, float)
+    frame, place = np.eye(3), np.zeros(3)
     edges, before = sorted({0.0, HALF, L, *DISCS}), np.full(3, True)
     for low, high in pairwise(edges):
         there = np.array([end >= high for end in ENDS])
-        tension, before = after_a_jump(low, tension, moment, before, there, mu, stiffness), there
+        tension, before = after_a_jump(low, tension, moment, before, there), there
         beyond = sum(mass for s, mass in DISCS.items() if s >= high)
-        load = tip_force + beyond * gravity
+        load = TIP_FORCE + beyond * GRAVITY
 
         def rate(s, state, there=there, load=load):
             frame, tension, moment = state[:9].reshape(3, 3), state[12:15], state[15:]
-            u, falls, moment_rate = rates(s, tension, moment, frame.T @ load, there, mu, stiffness)
+            u, falls, moment_rate = rates(s, tension, moment, frame.T @ load, there)
             cross = np.array([[0, -u[2], u[1]], [u[2], 0, -u[0]], [-u[1], u[0], 0]])
             return np.concatenate([(frame @ cross).ravel(), frame[:, 0], falls, moment_rate])
 
@@ -138,34 +138,16 @@ def integrated(base_moment, pull, mu=MU, modulus=E, *, loaded=True):
     return at_end, place, frame, moment
 
 
-@lru_cache
-def under_loads():
-    """The base moment with which none is left at the tip, and what follows from it."""
-    found = root(lambda moment: integrated(moment, PULL)[3], np.zeros(3), tol=1e-12)
-    assert np.max(np.abs(found.fun)) < 1e-10
-    return found.x, integrated(found.x, PULL)
-
-
-# --- solve, validate, fit ------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_segments_without_loads():
-    tension, place, frame, _ = integrated(np.zeros(3), PULL, loaded=False)
-    found = cddf.solve(robot(), PULL, direction=1)
-    np.testing.assert_allclose(found.tip_tension, tension, rtol=1e-10)
-    np.testing.assert_allclose(found.tip_position, place, atol=1e-12)
-    np.testing.assert_allclose(found.tip_frame, frame, atol=1e-11)
-    assert found.error_estimate < 1e-10
-    along = found.at(np.array([HALF - 1e-6, HALF + 1e-6]))
-    np.testing.assert_allclose(along.tension[2], [tension[2], 0.0], rtol=1e-5)  # beyond its end there is none
-
-
 @pytest.mark.slow
 def test_discs_and_segments_under_loads():
-    moment, (tension, place, frame, _) = under_loads()
+    """SciPy shoots for the base moment with which none is left at the tip."""
+    shot = root(lambda moment: integrated(moment)[3], np.zeros(3), tol=1e-12)
+    assert np.max(np.abs(shot.fun)) < 1e-10
+    tension, place, frame, _ = integrated(shot.x)
     found = cddf.solve(robot(), PULL, cddf.Loads(tip_force=TIP_FORCE, gravity=GRAVITY), direction=1)
-    np.testing.assert_allclose(found.base_moment, moment, atol=1e-10)
+    np.testing.assert_allclose(found.base_moment, shot.x, atol=1e-10)
     np.testing.assert_allclose(found.tip_tension, tension, rtol=1e-8)
     np.testing.assert_allclose(found.tip_position, place, atol=1e-10)
     np.testing.assert_allclose(found.tip_frame, frame, atol=1e-9)
+    along = found.at(np.array([HALF - 1e-6, HALF + 1e-6]))
+    np.testing.assert_allclose(along.tension[2], [tension[2], 0.0], rtol=1e-5)  # beyond its end there is none
