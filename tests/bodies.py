@@ -264,8 +264,3 @@ def paper_plain(kinematics: str = "published", sides: Sequence[int] = (+1,), **c
         "sides": sides,
     }
     return PlainBody(**{**fields, **changes})
-
-
-def slow_where(cases, part):
-    """The cases for `parametrize`; those with a part in their name run in the slow tests."""
-    return [pytest.param(case, marks=pytest.mark.slow) if part in case else case for case in cases]
