@@ -14,21 +14,11 @@ CALLS = ROOT / "tests" / "typed_calls.py"
 
 def test_every_public_name_is_called():
     """Classes that only come back as results are made by the functions that are called."""
-    results = {"Bootstrap", "Candidate", "Comparison", "Contact", "Design", "Determination", "EnergyBalance", "Plan"}
-    results |= {"Equilibrium", "Fields", "Fit", "InputError", "IterationHistory", "LeastSquaresFit", "Measurements"}
-    results |= {
-        "ModelFreeFriction",
-        "ModelFreeLoop",
-        "ParetoFront",
-        "Profile",
-        "SerialCorrelation",
-        "SolveError",
-        "TipJacobian",
-        "History",
-        "RobotFile",
-    }
+    results = "Bootstrap Candidate Comparison Contact Design Determination EnergyBalance Plan Equilibrium Fields Fit "
+    results += "InputError IterationHistory LeastSquaresFit Measurements ModelFreeFriction ModelFreeLoop ParetoFront "
+    results += "Profile SerialCorrelation SolveError TipJacobian History RobotFile"
     called = set(re.findall(r"cddf\.(\w+)", CALLS.read_text(encoding="utf-8")))
-    assert set(cddf.__all__) - called <= results
+    assert set(cddf.__all__) - called <= set(results.split())
 
 
 @pytest.mark.slow
