@@ -2,8 +2,6 @@
 
 import math
 import struct
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -114,14 +112,3 @@ def test_written_as_an_engineer_would(value, dimension, text):
 @given(st.floats(allow_nan=False, allow_infinity=False), st.sampled_from(DIMENSIONS))
 def test_written_reads_back_to_the_last_bit(value, dimension):
     assert bits(quantity(written(value, dimension), dimension, "x")) == bits(value)
-
-
-def test_pint_is_imported_when_a_rarer_unit_is_met():
-    program = (
-        "import sys, cddf_jax.units as u, cddf_jax.measurements.table, cddf_jax.files.manipulator_file; "
-        "assert u.quantity('0.42', 'dimensionless', 'mu') == 0.42; "
-        "assert not {'pint', 'matplotlib', 'typer', 'rich', 'tomli_w'} & set(sys.modules); "
-        "u.quantity('1 m', 'length', 'L'); u.written(0.14, 'length'); assert 'pint' not in sys.modules; "
-        "u.quantity('1 in', 'length', 'L'); assert 'pint' in sys.modules"
-    )
-    subprocess.run([sys.executable, "-c", program], check=True)
