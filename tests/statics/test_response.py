@@ -50,22 +50,12 @@ def test_reciprocity_and_its_loss(name):
 
 
 @pytest.mark.slow
-def test_a_held_displacement_is_stiffer_than_a_held_tension():
-    """Holding the tendon's length adds a constraint, which without friction can only take compliance away.
-
-    The length that 40 N pull in is SciPy's.
-    """
+def test_the_tip_cannot_turn_where_a_displacement_is_held():
+    """Without friction the pulled length of a parallel tendon is d phi."""
     body = paper_body("exact", friction_coefficient=0.0)
-    tension = 40.0
-    plain = paper_plain("exact", friction=[0.0])
-    pulled = loaded_reference(plain, tension, PlainLoads((1.0, -2.0), 0.02)).displacement[0]
-    free = cddf.tip_compliance(body, tension, LOADS)
-    held = cddf.tip_compliance(body, cddf.Displacement(pulled), LOADS)
-    taken = np.linalg.eigvalsh(np.asarray(free - (held + held.T) / 2))
-    assert taken[-1] > 1e-3
-    assert taken[0] > -1e-10
-    # d phi is the pulled length, so the tip cannot turn at all
+    held = cddf.tip_compliance(body, cddf.Displacement(0.005), nodes=8)
     np.testing.assert_allclose(held[2], 0.0, atol=1e-9)
+    assert np.max(np.abs(held[:2, :2])) > 1e-4
 
 
 def test_jacobian_against_the_closed_form():

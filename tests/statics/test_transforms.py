@@ -21,7 +21,7 @@ def test_jit_is_eager():
     """One tendon: every operation is a call of its own, and with antagonists there are very many."""
 
     def solved():
-        return cddf.solve(paper_body("published"), 40.0, nodes=8, throw=False)
+        return cddf.solve(paper_body("published"), 40.0, nodes=4, throw=False)
 
     with jax.disable_jit():
         eager = solved()
