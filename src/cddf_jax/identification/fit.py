@@ -16,6 +16,7 @@ from ..estimation.parameter_space import Bounds, Priors
 from ..measurements.holds import SerialCorrelation, holds_of, serial_correlation
 from ..measurements.jitter import Steady
 from ..measurements.left_out import CONTRADICTED, LeaveOut, LeftOut, named_rows, without
+from ..measurements.loop_sense import runs_backwards
 from ..measurements.markers import marker_column
 from ..measurements.readings import kind_of_set, set_by
 from ..measurements.table import Measurements
@@ -397,7 +398,8 @@ def _courses(
         if along and not rows and "pulling_tension" not in table:
             what = f"{table.name}: {', '.join(along)} act along a history, and the rows have none"
             raise InputError(what, remedy="add a column step or time, or give history=True (--history)")
-    how = {"stepped": setting.loads is not None or bool({*along} & {*RUBBING}), "timed": "lag" in along}
+    stepped = setting.loads is not None or bool({*along} & {*RUBBING})
+    how = {"stepped": stepped, "timed": "lag" in along, "in_space": manipulator.in_space}
     courses = [
         course_of(table, noise, own, short_steps, paths=rows, **how) if rows else None
         for table, rows, own in zip(tables, paths, starts, strict=True)
@@ -463,7 +465,9 @@ def _conclude(
     body = model.manipulator
     ends = tuple(solve_results(statistics.parameters, tables, model))
     groups = bench.groups_of(tables, model)
-    if statistics.success and (reason := unexplained_pose(statistics, groups, body) or doubt(ends)):
+    followed = [table for table, one in zip(tables, model.experiments, strict=True) if getattr(one, "in_order", False)]
+    reasons = unexplained_pose(statistics, groups, body), doubt(ends), *map(runs_backwards, followed)
+    if statistics.success and (reason := next(filter(None, reasons), "")):
         statistics = statistics.doubted(reason)
     both = "friction_coefficient", stiffness_parameter(body)
     fixed = {n: starting_value(body, n) for n in both if n not in statistics.names}

@@ -70,7 +70,7 @@ PARAMETERS = {
         Parameter("backlash", 1e-4, True, 1e-4),  # way back of the motor before the tendon follows
         Parameter("lag", 0.0, False, 0.1),  # time by which the body comes after the motor
         Parameter("angle_zero", 0.0, False, 0.02),
-        Parameter("tendon_angle_error", 0.0, False, 0.02),  # of a body in space, the same for all tendons
+        Parameter("tendon_angle_error", 0.0, False, 0.02),  # of a body in space
         *(Parameter(f"camera_{axis}", 0.0, False, 1e-3) for axis in "xyz"),  # the origin of measured positions
         *(Parameter(f"camera_turn_{axis}", 0.0, False, 0.02) for axis in "xyz"),  # rotation, see `markers.seen`
         *(Parameter(f"gravity_turn_{axis}", 0.0, False, 0.02) for axis in "xyz"),  # rotation: axis times angle
@@ -81,7 +81,10 @@ OUT_OF_PLANE = tuple(f"{name}_{axis}" for name in ("camera_turn", "gravity_turn"
 OF_SPACE = ("poissons_ratio", "tendon_angle_error", "camera_z", *OUT_OF_PLANE)
 OF_STRETCH = ("axial_factor", "shear_factor")
 OUTSIDE = ("outside_compliance", "outside_friction", "outside_drag")  # of a tendon, between body and actuator
-OF_TENDONS = ("base_gain", "tip_gain", "base_zero", "tip_zero", "slack_offset", *OUTSIDE)  # each may differ
+OF_TENDONS = (  # each tendon may have its own
+    *("base_gain", "tip_gain", "base_zero", "tip_zero", "slack_offset", "tendon_angle_error"),
+    *OUTSIDE,
+)
 RUBBING = ("friction_moment", "outside_friction", "outside_drag")  # friction besides that of tendons on the body
 _OF_BODY = {field.name for field in fields(Manipulator)}
 
@@ -127,7 +130,7 @@ def free_parameters(manipulator: Manipulator, free: Sequence[str] | str | None) 
         (OF_SPACE, manipulator.in_space, "in space; give its tendons an angle"),
         (OF_STRETCH, manipulator.extensible, "that stretches; make it extensible"),
     ):
-        if lacking := [name for name in names if name in kinds and not has]:
+        if lacking := [name for name in names if parameter_named(name).name in kinds and not has]:
             raise InputError(f"{lacking[0]} has an effect only on a body {remedy}, or do not fit this parameter")
     if "outer_radius_error" in names and not manipulator.stiffened_by_radii:
         raise InputError("outer_radius_error changes nothing where bending_stiffness is given; fit stiffness_factor")
@@ -158,10 +161,13 @@ def with_parameters(manipulator: Manipulator, parameters: Parameters) -> Manipul
     if "tendon_offset_error" in parameters:
         offsets = [shifted(tendon.offset, parameters["tendon_offset_error"]) for tendon in body.tendons]
         body = eqx.tree_at(lambda m: [tendon.offset for tendon in m.tendons], body, offsets)
-    if "tendon_angle_error" in parameters:
+    if any(name.startswith("tendon_angle_error") for name in parameters):
         body = body.with_angles()
-        error = parameters["tendon_angle_error"]
-        angles = [shifted(tendon.angle, error) for tendon in body.tendons if tendon.angle is not None]
+        angles = [
+            shifted(tendon.angle, own_or_common(parameters, "tendon_angle_error", i, 0.0))
+            for i, tendon in enumerate(body.tendons, 1)
+            if tendon.angle is not None
+        ]
         body = eqx.tree_at(lambda m: [tendon.angle for tendon in m.tendons], body, angles)
     for name in (name for name in OUTSIDE if any(given.startswith(name) for given in parameters)):
         tendons = [
