@@ -45,7 +45,7 @@ from .predictions import Numbers, Prediction, beyond_the_data, moved_by_finer_st
 from .random_effects import errors_of_base, fit_trials
 from .rivals import Rival, rivals_of
 from .tension_before import Before, first_guesses, starts_of
-from .verdict import AGAINST, SolveResults, doubt, drift_of, fit_warnings, solve_results, verdict_of
+from .verdict import AGAINST, SolveResults, alike_neighbours, doubt, drift_of, fit_warnings, solve_results, verdict_of
 
 POSITIVE = (0.0, None)
 ROUNDS = 5  # of fits, each without the rows that the fits before contradict
@@ -178,7 +178,8 @@ class Fit(LeastSquaresFit):
         """The remarks of any fit; samples of a hold that are not independent; readings with a history that drift."""
         alike = (f"{label}: {one.remark}" for label, one in self.serial_correlation.items() if one.remark)
         drifts = (drift_of(self, group) for group in self.groups if self.success)
-        return (*super().remarks, *alike, *filter(None, drifts))
+        neighbours = alike_neighbours(self) if self.success else ""
+        return (*super().remarks, *alike, *filter(None, (*drifts, neighbours)))
 
     @property
     def serial_correlation(self) -> dict[str, SerialCorrelation]:

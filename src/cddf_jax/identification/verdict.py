@@ -192,6 +192,32 @@ def drift_of(fit: "Fit", group: Group) -> str:
     )
 
 
+def alike_neighbours(fit: "Fit") -> str:
+    """In words, that residuals of neighbouring rows of histories are alike, so that errors are too small; "" if not.
+
+    The factor is that of a first-order autoregression: n such readings tell as much as n (1 - r) / (1 + r) others.
+    """
+    pairs = []
+    for group in fit.groups:
+        course = group.experiment.course if isinstance(group.experiment, Bench) else None
+        if course is not None and not course.each_from_rest:
+            residual, trial = fit.standardised_residuals[group.label], np.asarray(course.trial)[group.there]
+            order = np.lexsort((np.asarray(course.step)[group.there], trial))
+            residual, trial = residual[order], trial[order]
+            same = trial[1:] == trial[:-1]
+            pairs.append(np.stack([residual[1:], residual[:-1]])[:, same])
+    one, other = np.concatenate([np.zeros((2, 0)), *pairs], axis=1)
+    size = float(np.sum(one**2 + other**2) / 2)
+    correlation = float(one @ other) / size if size > 0 else 0.0
+    if one.size < LEAST_PAIRS or correlation <= ALARM / np.sqrt(one.size):
+        return ""
+    factor = np.sqrt((1 + correlation) / (1 - correlation))
+    return (
+        f"residuals of neighbouring rows are alike (correlation {correlation:.2f}), as a wrong model makes them: "
+        f"standard errors and intervals are too small, by a factor of about {factor:.1f}"
+    )
+
+
 def _jitter_in_words(name: str, table: Measurements, column: str, steady: Steady) -> str:
     """What was ignored of a column as noise."""
     noise, least = (shown(size, dimension_of(kind_of_set(column))) for size in (steady.noise, steady.least_turn))
