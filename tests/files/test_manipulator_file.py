@@ -68,6 +68,18 @@ def test_optional_keys(tmp_path):
     assert (plain.axial_stiffness, plain.free_length) == (None, 0.0)
 
 
+def test_friction_besides_that_of_tendons_on_the_body(tmp_path):
+    text = TEXT.replace("[[tendons]]", 'friction_moment = "2 mN m"\n[[tendons]]')
+    own = 'outside_compliance = "0.02 mm/N"\noutside_friction = 0.3\noutside_drag = "0.5 N"\n'
+    body = read(tmp_path, text + own)
+    (tendon,) = body.tendons
+    assert (body.friction_moment, tendon.outside_friction, tendon.outside_drag) == (2e-3, 0.3, 0.5)
+    write_manipulator(body, tmp_path / "again.toml")
+    assert_identical(read_manipulator(tmp_path / "again.toml"), body)
+    with pytest.raises(InputError, match="outside_drag must be 0 or more"):
+        read(tmp_path, text + own.replace("0.5 N", "-0.5 N"))
+
+
 @pytest.mark.parametrize("written", ['"0.8 %"', "0.008", '"0.008"'])
 def test_a_yield_strain_in_per_cent_or_as_a_fraction(tmp_path, written):
     body = read(tmp_path, TEXT.replace("[[tendons]]", f"yield_strain = {written}\n[[tendons]]"))

@@ -14,6 +14,7 @@ from cddf_jax.identification.parameters import (
     OF_SPACE,
     OF_STRETCH,
     PARAMETERS,
+    RUBBING,
     starting_value,
     unit_of,
     with_parameters,
@@ -227,12 +228,12 @@ def test_comparing_other_data(paper):
 def test_every_parameter_reaches_the_readings(paper):
     """Each parameter of a bench with one tendon changes what is read, by a derivative that differences confirm.
 
-    `before` belongs to benches with a history (test_fit_of_loops.py), backlash and lag to those driven by displacement
-    (test_displacement.py). The direction of gravity, and what leaves the
-    plane, belong to bodies in space (test_fit_in_space.py).
+    `before` and friction besides that on the body belong to benches with a history (test_fit_of_loops.py,
+    test_friction_elsewhere.py), backlash and lag to those driven by displacement (test_displacement.py). The direction
+    of gravity, and what leaves the plane, belong to bodies in space (test_fit_in_space.py).
     """
     bench = Bench(np.array([[30.0], [60.0]]), (None,))
-    elsewhere = (*OF_SPACE, *OF_STRETCH, "gravity_turn_z", "backlash", "lag")
+    elsewhere = (*OF_SPACE, *OF_STRETCH, "gravity_turn_z", "backlash", "lag", *RUBBING)
     names = [name for name in PARAMETERS if not is_past(name) and name not in elsewhere]
     parameters = {name: starting_value(paper, name) for name in names}
     value, slope, *_ = bench.evaluate(paper, parameters, 16)
