@@ -21,6 +21,16 @@ def compliance_of(case, **changes):
 
 
 @pytest.mark.slow
+def test_a_uniform_cantilever():
+    """Straight and without tension: L^3 / (3 E J), L^2 / (2 E J), L / (E J); nothing along the axis."""
+    body = paper_body("exact", outer_radius=(0.015, 0.015))
+    stiffness = float(body.stiffness(0.0))
+    y, phi, both = LENGTH**3 / (3 * stiffness), LENGTH / stiffness, LENGTH**2 / (2 * stiffness)
+    expected = [[0, 0, 0], [0, y, both], [0, both, phi]]
+    np.testing.assert_allclose(cddf.tip_compliance(body, 0.0), expected, rtol=1e-9, atol=1e-15)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_against_differences_of_the_reference(name):
     """Central differences of SciPy's shooting, steps h of 1e-3 N and 1e-4 N m: error h^2, noise 1e-10 / h."""
@@ -47,6 +57,23 @@ def test_reciprocity_and_its_loss(name):
     assert np.all(np.linalg.eigvalsh(smooth) > 0)
     rough = compliance_of(case)
     assert np.max(np.abs(rough - rough.T) / np.abs(rough)) > 0.02
+
+
+@pytest.mark.slow
+def test_a_held_displacement_is_stiffer_than_a_held_tension():
+    """Holding the tendon's length adds a constraint, which without friction can only take compliance away.
+
+    The length that 40 N pull in is SciPy's.
+    """
+    body = paper_body("exact", friction_coefficient=0.0)
+    tension = 40.0
+    plain = paper_plain("exact", friction=[0.0])
+    pulled = loaded_reference(plain, tension, PlainLoads((1.0, -2.0), 0.02)).displacement[0]
+    free = cddf.tip_compliance(body, tension, LOADS)
+    held = cddf.tip_compliance(body, cddf.Displacement(pulled), LOADS)
+    taken = np.linalg.eigvalsh(np.asarray(free - (held + held.T) / 2))
+    assert taken[-1] > 1e-3
+    assert taken[0] > -1e-10
 
 
 @pytest.mark.slow
