@@ -104,16 +104,17 @@ def test_a_force_along_a_straight_rod_bends_nothing():
 
 
 @pytest.mark.slow
-def test_a_stepped_body_with_a_passive_tip_link():
+@pytest.mark.parametrize("kinematics", ["published", "exact"])
+def test_a_stepped_body_with_a_passive_tip_link(kinematics):
     """Two tendons of their own offsets and friction end at 100 mm; beyond it the body is passive, under loads."""
     outer = cddf.Piecewise([0.06], [cddf.Constant(0.018), cddf.Constant(0.014)])
     tendons = (
         cddf.Tendon(cddf.Linear(0.011, 0.008, LENGTH), end=0.10, friction_coefficient=0.2),
         cddf.Tendon(cddf.Linear(0.009, 0.010, LENGTH), side=-1, end=0.10, friction_coefficient=0.35),
     )
-    body = cddf.Manipulator(LENGTH, outer, 0.007, tendons, 1.4e6, 9.0, density=1100.0)
+    body = cddf.Manipulator(LENGTH, outer, 0.007, tendons, 1.4e6, 9.0, density=1100.0, kinematics=kinematics)
     plain = paper_plain(
-        "exact",
+        kinematics,
         (+1, -1),
         outer_radius=lambda s: np.where(s < 0.06, 0.018, 0.014),
         offsets=[straight(0.011, 0.008, LENGTH), straight(0.009, 0.010, LENGTH)],
@@ -185,6 +186,15 @@ def test_millimetres_and_megapascals():
     np.testing.assert_allclose(mm.tip_tension, si.tip_tension, rtol=SETTLED)
     np.testing.assert_allclose(mm.base_moment, si.base_moment * 1e3, rtol=SETTLED)
     np.testing.assert_allclose(mm.friction_force, si.friction_force / 1e3, rtol=1e-8, atol=1e-9)
+
+
+def test_loads_tensions_and_stiffness_scale_together():
+    """Only ratios to E enter, docs/theory.md."""
+    times = 7.0
+    loads = jax.tree.map(lambda x: times * x, PAIR_LOADS)
+    stiff = solved_pair(loads, (times * 60.0, times * 15.0), youngs_modulus=times * PAPER["youngs_modulus"])
+    # the weight is in gravity already, which is seven times as strong
+    np.testing.assert_allclose(stiff.position, solved_pair().position, rtol=SETTLED, atol=SETTLED)
 
 
 # --- methods, precision, transformations ---------------------------------------------------------
