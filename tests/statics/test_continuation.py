@@ -73,6 +73,19 @@ def test_a_buckled_column_is_raised_and_keeps_its_numbers():
         cddf.solve(rod(), 0.0, cddf.Loads(tip_force=(-1.1 * EULER, 0.0)))
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("fraction", [0.95, 1.05])
+def test_equal_tendons_stiffen_a_column_in_the_published_kinematics(fraction):
+    """E J kappa = sum sigma d T (1 - sigma d kappa): 2 T d^2 adds to E J, docs/theory.md."""
+    tension = 0.3 * RIGIDITY / 0.002**2
+    critical = buckling_force(RIGIDITY + 2 * tension * 0.002**2, 0.2)
+    assert critical > 1.5 * EULER
+    pair = cddf.conical(**ROD, youngs_modulus=1e6, friction_coefficient=0.3, num_tendons=2, kinematics="published")
+    solution = solved(PlainLoads((-fraction * critical, 0.0)), tension, pair)
+    assert bool(solution.stable) == (fraction < 1)
+    np.testing.assert_allclose(solution.curvature, 0.0, atol=1e-9)
+
+
 @pytest.mark.parametrize("fraction", [1.02, 3.0])
 def test_a_slightly_bent_column_leaves_the_straight_line(fraction):
     """With a hundredth of the critical force across, the path turns aside and stays stable."""
