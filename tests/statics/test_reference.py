@@ -14,6 +14,7 @@ from bodies import (
     straight,
 )
 from loaded_bodies import reference_solution
+from scipy.interpolate import CubicSpline
 
 import cddf_jax as cddf
 
@@ -71,6 +72,14 @@ def test_two_tendons(direction):
     compare_pair("exact", PARALLEL, PARALLEL, tension, direction)
 
 
+@pytest.mark.slow
+def test_three_tendons_with_their_own_friction():
+    offsets, friction, sides = (0.010, 0.012, 0.008), (0.42, 0.1, 0.3), (+1, -1, +1)
+    tendons = [cddf.Tendon(*numbers[:2], None, numbers[2]) for numbers in zip(offsets, sides, friction, strict=True)]
+    plain = paper_plain("exact", sides, offsets=[constant(d) for d in offsets], friction=list(friction))
+    compare(paper_with(*tendons), plain, (40.0, 10.0, 15.0), (+1, -1, +1))
+
+
 KNOTS = np.array([0.0, 0.05, 0.10, LENGTH])
 
 
@@ -104,6 +113,21 @@ def test_one_slanted_tendon(kinematics, direction, base, tip):
 @pytest.mark.parametrize("direction", [(+1, -1), (-1, +1)], ids=str)
 def test_two_slanted_tendons(kinematics, direction):
     compare_pair(kinematics, SLANTED, SLANTED, (75.0, 20.0) if direction[0] > 0 else (30.0, 60.0), direction)
+
+
+SPLINE_KNOTS = np.array([0.0, 0.03, 0.06, 0.10, 0.14])
+SPLINE_HEIGHTS = np.array([0.0100, 0.0108, 0.0110, 0.0103, 0.0090])
+
+
+@pytest.mark.slow
+@one_kinematics_at_once
+def test_a_spline_offset(kinematics):
+    scipy_spline = CubicSpline(SPLINE_KNOTS, SPLINE_HEIGHTS, bc_type="not-a-knot")
+    plain = paper_plain(
+        kinematics, offsets=[scipy_spline], slopes=[scipy_spline.derivative()], breaks=tuple(SPLINE_KNOTS[1:-1])
+    )
+    tendon = cddf.Tendon(cddf.Spline(SPLINE_KNOTS, SPLINE_HEIGHTS))
+    compare(paper_with(tendon, kinematics=kinematics), plain, 60.0)
 
 
 @pytest.mark.slow
