@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import PAPER, fields_at, lane, paper_body, paper_plain, replaced, stack
+from bodies import PAPER, fields_at, lane, one_kinematics_at_once, paper_body, paper_plain, replaced, stack
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 
@@ -109,20 +109,27 @@ def compare(solution, reference, tolerance=1e-8):
 
 @pytest.mark.parametrize("direction", [+1, -1], ids=["in", "out"])
 @pytest.mark.parametrize("base_tension", [75.0, 10.0, 0.0])
-def test_drag_alone_lowers_the_tension_linearly(base_tension, direction):
-    """T = max(T_base - direction w s, 0), zero from s = T_base / w; kappa = T d / (E J)."""
-    solution = cddf.solve(replace(EXACT, friction_coefficient=0.0), base_tension, direction=direction, throw=False)
+@one_kinematics_at_once
+def test_drag_alone_lowers_the_tension_linearly(kinematics, base_tension, direction):
+    """T = max(T_base - direction w s, 0), zero from s = T_base / w; kappa = T d / (E J + T d^2 where published)."""
+    body = replace(EXACT if kinematics == "exact" else PUBLISHED, friction_coefficient=0.0)
+    solution = cddf.solve(body, base_tension, direction=direction, throw=False)
 
     def tension(s):
         return np.maximum(base_tension - direction * W * s, 0.0)
 
+    def curvature(s):
+        return tension(s) * d / (E * second_moment(s) + (kinematics == "published") * tension(s) * d**2)
+
     np.testing.assert_allclose(solution.tension[0], tension(np.asarray(solution.arc_length)), rtol=1e-13, atol=1e-12)
     np.testing.assert_allclose(solution.tip_tension, [tension(LENGTH)], rtol=1e-13)
     slack = np.clip(base_tension / W, 0.0, LENGTH) if direction > 0 else LENGTH
-    angle = quad(lambda s: tension(s) * d / (E * second_moment(s)), 0.0, slack, epsabs=1e-14)[0]
-    np.testing.assert_allclose(solution.tip_angle, angle, atol=1e-10)
+    np.testing.assert_allclose(solution.tip_angle, quad(curvature, 0.0, slack, epsabs=1e-14)[0], atol=1e-10)
+    if base_tension > 0:
+        np.testing.assert_allclose(solution.tension_loss, [1 - tension(LENGTH) / base_tension], rtol=1e-13)
     # a tendon alone bends the body towards it, and cannot slide out; one without tension is not judged
-    assert solution.direction_contradicted == (direction < 0)
+    pulls = base_tension > 0 or direction < 0
+    assert solution.direction_contradicted == (pulls and direction < 0)
 
 
 def test_friction_force_of_drag_alone_is_the_drag_up_to_where_the_tendon_is_slack():
