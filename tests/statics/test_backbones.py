@@ -204,6 +204,40 @@ def test_a_body_without_radii():
     np.testing.assert_allclose(with_radii.distributed_mass(0.1), 1000 * np.pi * 1e-4, rtol=1e-12)
 
 
+def test_the_mass_of_a_design():
+    from cddf_jax.designing.body_quantities import BODY_QUANTITIES, BodyView
+
+    found = BODY_QUANTITIES["mass"].of(BodyView(robot(), np.zeros(1)))
+    np.testing.assert_allclose(found, 0.15 * 0.8 * L + 0.030, rtol=1e-12)  # a line from 100 to 60 %, and the points
+
+
+def beside_radii(**changes: Any) -> cddf.Manipulator:
+    """Radii for drawing and strain, that do not stiffen."""
+    told = {"length": L, "tendons": (cddf.Tendon(0.006),), "friction_coefficient": 0.2, "bending_stiffness": 0.02}
+    return cddf.Manipulator(**told | {"outer_radius": cddf.Linear(0.01, 0.008, L), "inner_radius": 0.002} | changes)
+
+
+def checked(body: cddf.Manipulator, name: str, output: str = "tip_tension", **loads: Any) -> None:
+    from cddf_jax.sweeping.axes import dimensions_of
+    from cddf_jax.sweeping.checks import check_sweep
+    from cddf_jax.sweeping.sweep import Sweep
+
+    varied, given = dimensions_of({name: [0.006, 0.007]}), cddf.Loads(**loads) if loads else None
+    check_sweep(Sweep(manipulator=body, dimensions=varied, base_tension=1.0, loads=given, outputs=(output,)))
+
+
+def test_radii_that_change_nothing_do_not_vary():
+    body, fall = beside_radii(), {"gravity": (0.0, -9.81)}
+    for name in ("outer_radius.tip", "inner_radius.value"):
+        message = f"{name!r} has no effect here; the bending_stiffness of this body is given"
+        assert message in refused(lambda name=name: checked(body, name))
+        checked(beside_radii(density=1000.0), name, **fall)  # they weigh
+        assert message in refused(lambda name=name: checked(beside_radii(mass_per_length=0.1), name, **fall))
+        checked(beside_radii(bending_stiffness=None, youngs_modulus=1e6), name)  # they stiffen
+    checked(body, "outer_radius.tip", "peak_strain")
+    assert "has no effect" in refused(lambda: checked(body, "inner_radius.value", "peak_strain"))
+
+
 def test_the_strain_without_a_wall_is_refused():
     message = "peak_strain: the body has no outer_radius; give it both radii"
     assert message in refused(lambda: cddf.sweep(robot(), {"base_tension": [1.0]}, outputs=["peak_strain"]))
@@ -221,6 +255,22 @@ def test_gravity_on_a_body_without_mass_is_refused():
     assert message in refused(lambda: jax.jit(lambda pull: cddf.solve(body, pull, fall).tip_angle)(20.0))  # both known
     with pytest.raises(cddf.InputError, match="the body has no weight"):
         cddf.design(body, cddf.Least("volume"), free=("outer_radius",), cases=cddf.LoadCase(20.0, fall))
+
+
+def test_numbers_have_names_and_units():
+    from cddf_jax.statics.named_numbers import Case, unit_of_name
+
+    case = Case(robot(), 1.0, loads(), 1.0)
+    named = {"point_masses.0.mass": 0.020, "point_masses.1.arc_length": L, "bending_stiffness.base": 0.02}
+    assert {name: float(case.number(name)) for name in named} == named
+    units = ["point_masses.0.mass", "point_masses.1.arc_length", "bending_stiffness.base", "mass_per_length.tip"]
+    assert [unit_of_name(name) for name in units] == ["kg", "m", "N m^2", "kg/m"]
+    assert unit_of_name("bending_stiffness.length") == "m"
+    longer = case.with_numbers({"length": 2 * L}).manipulator
+    assert float(longer.point_masses[0].arc_length) == 0.16
+    np.testing.assert_allclose(longer.stiffness(0.2), 0.9 * 0.02 * 0.8, rtol=1e-12)
+    for name in ("youngs_modulus", "outer_radius"):
+        assert f"{name}: the body has none" in refused(lambda name=name: case.number(name))
 
 
 # --- files ------------------------------------------------------------------------------------------
@@ -303,3 +353,5 @@ def test_a_factor_on_the_stiffness_is_fitted_where_there_is_no_modulus():
     assert float(fit.manipulator.stiffness_factor) == fit.value["stiffness_factor"]
     message = refused(lambda: cddf.fit(body, fit.tables, ("youngs_modulus",)))
     assert message == "fit: the body has no single youngs_modulus; fit stiffness_factor, which multiplies its stiffness"
+    message = refused(lambda: cddf.fit(body, fit.tables, ("outer_radius_error",)))
+    assert "changes nothing where bending_stiffness is given" in message
