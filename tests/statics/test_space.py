@@ -80,6 +80,13 @@ def test_published_rod_with_a_helical_tendon_stretch_and_shear():
     np.testing.assert_allclose(1e3 * pulled.tip_position, (493.3483, 12.2099, 58.1888), atol=2e-3)
 
 
+@pytest.mark.slow
+def test_published_rod_with_a_straight_tendon_under_gravity():
+    body = cddf.Manipulator(tendons=(cddf.Tendon(0.01506, angle=0.0),), **ROD)
+    found = cddf.solve(body, 15.0, cddf.Loads(gravity=(0.0, 9.81, 0.0)))
+    np.testing.assert_allclose(1e3 * found.tip_position, (453.239992, 182.216166, 0.0), atol=2e-6)
+
+
 def test_a_body_of_the_plane_in_space():
     body = paper_body("exact", num_tendons=2)
     plane, space = (cddf.solve(body, (40.0, 10.0), space=space) for space in (False, True))
@@ -124,6 +131,23 @@ def test_forces_on_the_body_balance_the_reactions_at_the_base():
     moment = moment - np.cross(ends.path[:, 1], pull(1)).sum(axis=0) + np.cross(found.tip_position, force)
     base = body.strain_stiffness(jnp.asarray(0.0)) * ends.curvature[0]
     np.testing.assert_allclose(moment, base, atol=1e-11)
+
+
+@pytest.mark.slow
+def test_work_of_tendon_and_load_is_stored_without_friction():
+    """Virtual work: dU/dT = T d(displacement)/dT + F dr/dT, with the elastic energy integrated from the curvature."""
+    body, force = paper_with(helix(0.25), friction_coefficient=0.0), np.array([0.0, 0.1, 0.2])
+    x, weights = np.polynomial.legendre.leggauss(24)
+    s = (x + 1) / 2 * LENGTH
+    stiffness = jax.vmap(body.strain_stiffness)(jnp.asarray(s))
+
+    def energy_travel_and_tip(tension):
+        found = cddf.solve(body, tension, cddf.Loads(tip_force=force), throw=False)
+        energy = LENGTH / 4 * jnp.sum(weights[:, None] * stiffness * found.at(s).curvature ** 2)
+        return energy, found.tendon_displacement[0], found.tip_position
+
+    _, (rise, travel, moved) = jax.jvp(energy_travel_and_tip, (30.0,), (1.0,))
+    np.testing.assert_allclose(rise, 30.0 * travel + force @ np.asarray(moved), rtol=1e-9)
 
 
 @pytest.mark.slow
@@ -186,6 +210,22 @@ def test_a_body_bent_by_about_a_turn_bears_a_small_load():
 
 
 @pytest.mark.slow
+def test_a_body_bent_too_far_says_so_and_has_no_slopes():
+    """At 3,000 N the strain at the tendon is above 1, and passes diverge: no load is to blame. Derivatives are zero."""
+    body, loads = paper_with(*map(at_angle, (0.0, 2.1, 4.2))), cddf.Loads(tip_force=(0.0, 0.1, 0.1))
+
+    def solved(pull):
+        return cddf.solve(body, jnp.array([pull, 0.0, 0.0]), loads, throw=False)
+
+    failed = solved(3000.0)
+    assert failed.status == cddf.Status.not_converged
+    assert failed.num_load_steps == 0
+    forwards, backwards = (jax.jit(mode(lambda pull: solved(pull).tip_position)) for mode in (jax.jacfwd, jax.jacrev))
+    np.testing.assert_array_equal(forwards(3000.0), 0.0)
+    np.testing.assert_array_equal(backwards(3000.0), 0.0)
+
+
+@pytest.mark.slow
 def test_a_failing_lane_spoils_no_other():
     body = paper_with(at_angle(0.0), at_angle(2.1), at_angle(4.2))
     tensions = jnp.array([[20.0, 5.0, 5.0], [jnp.nan, 5.0, 5.0], [5000.0, 0.0, 0.0]])
@@ -223,6 +263,16 @@ def test_stiffnesses_by_hand():
     given = dataclasses.replace(body, torsional_stiffness=3.0, axial_stiffness=5.0, shear_stiffness=7.0)
     expected[[0, 3, 4, 5]] = 1.5 * np.array([3.0, 0.7 * 5.0, 0.8 * 7.0, 0.8 * 7.0])
     np.testing.assert_allclose(given.strain_stiffness(0.05), expected, rtol=1e-14)
+
+
+@pytest.mark.slow
+def test_an_axis_that_stretches_is_shortened_by_its_tendons():
+    stiff = paper_with(at_angle(0.0), at_angle(np.pi), extensible=True, friction_coefficient=0.0)
+    found = cddf.solve(stiff, (20.0, 20.0))
+    # no bend: the force -40 N along the axis shortens it by the integral of 40 / (E A)
+    area = np.pi * (np.linspace(0.020, 0.013, 20001) ** 2 - 0.007**2)
+    shorter = np.trapezoid(40.0 / (1.4e6 * area), dx=LENGTH / 20000)
+    np.testing.assert_allclose(found.tip_position, (LENGTH - shorter, 0.0, 0.0), atol=1e-10)
 
 
 def test_what_is_not_possible_in_space_is_refused():
