@@ -153,6 +153,15 @@ def test_two_tendons_in_one_place_leave_their_tensions_open():
 
 
 @pytest.mark.slow
+def test_a_place_under_gravity_is_reached_where_one_more_pass_changes_a_little():
+    """Passes end with a change of 3e-11 there, since the next one would change less than 1e-12."""
+    robot = cddf.read_manipulator(ROOT / "data" / "three_tendons_made_up.toml")
+    pull, gravity = np.array([0.0, 24.4, 19.4]), cddf.Loads(gravity=(0.0, 0.0, -9.81))
+    place = cddf.solve(robot, pull, gravity).tip_position
+    np.testing.assert_allclose(cddf.solve(robot, cddf.TipPosition(place), gravity).base_tension, pull, atol=1e-7)
+
+
+@pytest.mark.slow
 def test_a_place_is_reached_with_directions_that_fit_where_there_are_some():
     """Beside these pulls, others reach the place with a tendon of which a part sticks: no direction fits it."""
     pull = (12.145884, 22.237196, 0.0)
