@@ -11,6 +11,7 @@ from refusals import refused
 import cddf_jax as cddf
 from cddf_jax.identification.bench import experiment_of
 from cddf_jax.identification.course import course_of, paths_of
+from cddf_jax.identification.parameters import of_all_tendons
 from cddf_jax.measurements.table import Measurements
 
 D, MU, MODULUS, COMPLIANCE = 0.009, 0.3, 1.4e6, 2e-5  # m, 1, Pa, m/N
@@ -173,7 +174,7 @@ def test_backlash_holds_a_tendon_until_the_motor_has_come_back_by_it():
     here = course(path, step=np.arange(7))
 
     def followed(play):
-        return here.true_displacement({"backlash": play}, jnp.asarray(here.readings))[0, :7, 0]
+        return here.true_displacement({"backlash": play}, jnp.asarray(here.readings), jnp.zeros(1))[0, :7, 0]
 
     np.testing.assert_allclose(followed(0.3), behind, atol=1e-12)
     np.testing.assert_allclose(jax.jacfwd(followed)(0.3), [0, 0, 0, 0, 1, 1, 0], atol=1e-12)  # where it is dragged back
@@ -184,7 +185,7 @@ def test_a_lag_shows_the_motor_as_it_was_before():
     here = course(path, time=time)
 
     def shown(lag):
-        return here.true_displacement({"lag": lag}, jnp.asarray(here.readings))[0, :5, 0]
+        return here.true_displacement({"lag": lag}, jnp.asarray(here.readings), jnp.zeros(1))[0, :5, 0]
 
     np.testing.assert_allclose(shown(0.25), [0.0, 0.75, 2.5, 3.0, 0.75], atol=1e-12)  # by hand
     np.testing.assert_allclose(jax.jacfwd(shown)(0.25), [0.0, -1.0, -2.0, 0.0, 3.0], atol=1e-12)  # less the slope
@@ -195,7 +196,8 @@ def test_slack_offsets_belong_to_tendons():
         "bench", displacement=[1.0, 2.0], displacement_2=[3.0, 5.0], tip_angle=[0.0, 0.0], step=[0, 1]
     )
     here = course_of(table, {"displacement": 0.0})[0]
-    found = here.true_displacement({"slack_offset": 0.5, "slack_offset_2": 1.0}, jnp.asarray(here.readings))
+    offset = of_all_tendons({"slack_offset": 0.5, "slack_offset_2": 1.0}, "slack_offset", 2)
+    found = here.true_displacement({}, jnp.asarray(here.readings), offset)
     np.testing.assert_allclose(found[0, :2], [[0.5, 2.0], [1.5, 4.0]])
 
 

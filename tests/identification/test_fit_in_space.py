@@ -216,7 +216,7 @@ def test_markers_of_a_history_under_loads(force):
     table = cddf.Measurements.from_columns("simulated", base_tension=pulls, step=[1, 2, 3], **{"x@head": [0.1] * 3})
     setting = cddf.BenchSetting(loads=loads, markers={"head": HEAD if len(force) == 3 else cddf.Marker(0.08)})
     body = winding() if len(force) == 3 else in_plane()
-    rows = experiment_of(table, body, course=course_of(table, loaded=True)[0], setting=setting)
+    rows = experiment_of(table, body, course=course_of(table, stepped=True)[0], setting=setting)
     found = rows.shown(body, {}, 8)
     expected = cddf.trace(body, pulls, loads, nodes=4, short_steps=4, throw=False)
     np.testing.assert_allclose(found.tip_position, expected.tip_position, atol=1e-9)

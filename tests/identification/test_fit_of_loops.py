@@ -525,7 +525,7 @@ def test_a_tip_force_that_changes_under_gravity():
     columns = {"base_tension": path, "tip_force_x": force[:, 0], "tip_force_y": force[:, 1], "step": range(4)}
     read = {"tip_tension": np.zeros(4), "tip_angle": np.zeros(4), "tip_y": np.zeros(4)}
     table = Measurements.from_columns("bench", **columns, **read)
-    course = course_of(table, starts=[Start((before,), ("",))], loaded=True)[0]
+    course = course_of(table, starts=[Start((before,), ("",))], stepped=True)[0]
     rows = experiment_of(table, heavy(), course=course, setting=cddf.BenchSetting(loads=gravity))
     shown = rows.predict(heavy(), {}, 16)
     np.testing.assert_allclose(shown["tip_tension"], history.tip_tension, rtol=1e-9)
@@ -535,7 +535,7 @@ def test_a_tip_force_that_changes_under_gravity():
 
 def test_loads_of_all_rows_leave_no_exact_answer():
     """Nor one curve on which all rows lie."""
-    course, _ = course_of(table(UP), loaded=True)
+    course, _ = course_of(table(UP), stepped=True)
     assert course.short_steps == 4
     setting = cddf.BenchSetting(loads=HEAVY)
     rows = experiment_of(table(UP), heavy(), course=course, setting=setting)

@@ -215,7 +215,7 @@ class Fit(LeastSquaresFit):
     @cached_property
     def rivals(self) -> list[Rival]:
         """What else may have made the loops of a bench driven by displacement, beside friction on the body."""
-        return rivals_of(self)
+        return rivals_of(self, self.tables, self.model, self.options["history"], self._short_steps)
 
     @property
     def clusters(self) -> dict[str, tuple[str, np.ndarray]]:

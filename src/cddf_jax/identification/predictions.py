@@ -13,6 +13,7 @@ from jaxtyping import ArrayLike
 
 from ..errors import InputError, within
 from ..estimation.determination import AT_BOUND, NOT_IDENTIFIED
+from ..estimation.least_squares import LeastSquaresFit
 from ..measurements.readings import of_tendons
 from ..measurements.table import Measurements
 from ..mechanics.capstan import pulling_tension
@@ -138,7 +139,7 @@ def moved_by_finer_steps(fit: "Fit") -> dict[str, float]:
     return {name: value for name, value in own if not name.startswith(TRIALS)} if found else {}
 
 
-def noise_of_readings(fit: "Fit", group: Group) -> np.ndarray:
+def noise_of_readings(fit: LeastSquaresFit, group: Group) -> np.ndarray:
     """(readings,), the standard deviations of the noise."""
     problem = fit.minimum.problem
     return np.ravel(problem.data.noise[problem.groups.index(group.label)])

@@ -5,24 +5,23 @@ the linearised fit, from the estimate, tells by how much each of them would impr
 beside it. It takes no other fit, and is as good as the linearisation.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
 from ..estimation.determination import IDENTIFIED
 from ..estimation.evidence import without_nan
+from ..estimation.least_squares import LeastSquaresFit
+from ..measurements.table import Measurements
 from ..quantities import dimension_of
 from ..units import shown
-from .bench import Bench
+from .bench import Bench, BenchModel, groups_of
 from .course import course_of, paths_of
 from .parameters import PARAMETERS
 from .predictions import noise_of_readings
-
-if TYPE_CHECKING:
-    from .fit import Fit
 
 RIVALS = ("lag", "backlash", "friction_moment", "outside_drag")
 FRICTION = "friction_coefficient"
@@ -60,34 +59,43 @@ class Rival(NamedTuple):
         return ""
 
 
-def rivals_of(fit: "Fit") -> list[Rival]:
-    """What else may have made the loops of a fit; [] where friction is not identified or no displacement turns."""
+def rivals_of(
+    fit: LeastSquaresFit, tables: Sequence[Measurements], model: BenchModel, history: Any, short_steps: int
+) -> list[Rival]:
+    """What else may have made the loops of a fit; [] where friction is not identified or no displacement turns.
+
+    Args:
+        fit: its statistics.
+        tables, model: its data and its bench.
+        history, short_steps: as they were given to `fit`.
+    """
     if not fit.success or fit.status.get(FRICTION) != IDENTIFIED:
         return []
-    benches = [one for one in fit.model.experiments if isinstance(one, Bench) and one.course is not None]
-    courses = [one.course for one in benches if one.course is not None]
+    courses = [one.course for one in model.experiments if isinstance(one, Bench) and one.course is not None]
     if not any(any(course.by_length) and course.turns for course in courses):
         return []
-    columns = _columns(fit)
+    columns = _columns(fit, tables, model, history, short_steps)
     return [rival for name in columns if (rival := _rival(fit, name, columns[name])) is not None]
 
 
-def _columns(fit: "Fit") -> dict[str, np.ndarray]:
+def _columns(
+    fit: LeastSquaresFit, tables: Sequence[Measurements], model: BenchModel, history: Any, short_steps: int
+) -> dict[str, np.ndarray]:
     """By rival, the derivatives of all readings over their noise, whitened; in the order of the fit's rows."""
-    timed = all("time" in table for table in fit.tables)
+    timed = all("time" in table for table in tables)
     names = [name for name in RIVALS if name not in fit.names and (timed or name != "lag")]
     parameters = {**jax.tree.map(np.asarray, dict(fit.parameters)), **{name: np.zeros(()) for name in names}}
     ends = np.cumsum([np.size(parameters[name]) for name in sorted(parameters)])  # in the flat order
     places = dict(zip(sorted(parameters), (ends - 1).tolist(), strict=True))
     found: dict[str, dict[str, np.ndarray]] = {name: {} for name in names}
-    for label, table, one in zip(fit.model.names, fit.tables, fit.model.experiments, strict=True):
+    for label, table, one in zip(model.names, tables, model.experiments, strict=True):
         slopes: Mapping[str, np.ndarray] = {}
         if isinstance(one, Bench) and one.course is not None and any(one.course.by_length):
-            paths = paths_of(table, fit.options["history"])  # pyright: ignore[reportArgumentType]
-            course, _ = course_of(table, paths=paths, short_steps=fit._short_steps, stepped=True, timed=timed)
+            paths = paths_of(table, history)
+            course, _ = course_of(table, paths=paths, short_steps=short_steps, stepped=True, timed=timed)
             bench = replace(one, course=course, name=one.name)
-            slopes = bench.evaluate(fit.model.manipulator, parameters, fit.model.nodes).derivatives
-        for group in (group for group in fit.groups if group.name == label):
+            slopes = bench.evaluate(model.manipulator, parameters, model.nodes).derivatives
+        for group in (group for group in groups_of(tables, model) if group.name == label):
             own = slopes[group.column] if slopes else np.zeros((len(table), ends[-1]))
             for name in names:
                 found[name][group.label] = own[group.there, places[name]] / noise_of_readings(fit, group)
@@ -98,7 +106,7 @@ def _columns(fit: "Fit") -> dict[str, np.ndarray]:
     }
 
 
-def _rival(fit: "Fit", name: str, column: np.ndarray) -> Rival | None:
+def _rival(fit: LeastSquaresFit, name: str, column: np.ndarray) -> Rival | None:
     """The best fit with one more column in the Jacobian; None where it would be below its bound."""
     evidence, known = fit.evidence, fit.evidence.jacobian
     residual, more = np.zeros(len(known)), np.zeros(len(known))
