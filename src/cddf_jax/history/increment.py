@@ -257,7 +257,8 @@ def _correction(setting: Setting, nodes: Node, law: _Law, missed: Rows) -> Node:
     (change,) = _swept(nodes, factors, missed.elements[:, :, None], jnp.zeros((1, 1)))
     if not setting.driven:
         return change
-    pulls = jnp.eye(nodes.tension.shape[1], dtype=nodes.tension.dtype)[:, tendons_of(setting.driven)]
+    known = factors.by_known.shape[2]  # of an element: first the tensions
+    pulls = jnp.eye(known, dtype=nodes.tension.dtype)[:, tendons_of(setting.driven)]
     by_tension = _swept(nodes, factors, jnp.zeros((*missed.elements.shape, len(setting.driven))), pulls)
     push = jax.linearize(partial(_driven_gap, setting), nodes)[1]
     tension = solve_small(jnp.stack([push(slope) for slope in by_tension], axis=1), -(missed.driven + push(change)))[0]
