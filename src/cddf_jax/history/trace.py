@@ -47,12 +47,12 @@ def trace(
 ) -> History:
     """Pull and release a manipulator, from rest.
 
-    One tendon without loads has an exact answer, in the plane and in space. Several tendons and loads are followed in
-    increments with elements of finite length; `error_estimate` compares with results for half as many increments and
-    for half as many elements. An increment that does not settle is cut; where that does not help, the step says so.
-    Works under jit, vmap, grad and scan. Derivatives are continuous where fronts move; at a turn they are those of the
-    direction in which the step went. With several tendons or loads only first derivatives are valid, and 64-bit numbers
-    are needed.
+    One tendon without loads has an exact answer, in the plane and in space. Several tendons, loads, and friction
+    besides that of tendons on the body are followed in increments with elements of finite length; `error_estimate`
+    compares with results for half as many increments and for half as many elements. An increment that does not settle
+    is cut; where that does not help, the step says so. Works under jit, vmap, grad and scan. Derivatives are continuous
+    where fronts move; at a turn they are those of the direction in which the step went. With several tendons or loads
+    only first derivatives are valid, and 64-bit numbers are needed.
 
     Args:
         manipulator: the body.

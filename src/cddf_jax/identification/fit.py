@@ -215,7 +215,7 @@ class Fit(LeastSquaresFit):
     @cached_property
     def rivals(self) -> list[Rival]:
         """What else may have made the loops of a bench driven by displacement, beside friction on the body."""
-        return rivals_of(self, self.tables, self.model, self.options["history"], self._short_steps)
+        return rivals_of(self, self.tables, self.model, self.options)
 
     @property
     def clusters(self) -> dict[str, tuple[str, np.ndarray]]:
@@ -258,14 +258,15 @@ def fit(
         manipulator: the body; its numbers are the start.
         data: a table or several.
         free: what is fitted, of `parameters.PARAMETERS`; None for friction and modulus, of a body without a single
-            modulus friction and `stiffness_factor`. It may also be the constant drag per length,
-            gain and zero of the cells (`tip_gain`, `base_zero`, `tip_gain_2` for the cell of tendon 2),
-            `pretension`, `angle_zero`, the pose of the camera that sees tip and markers (`camera_x`, ...,
-            `camera_turn_z`; "camera" for all of it: its start is found from the readings), the direction of gravity
-            (`gravity_turn_x`, ...), and errors of dimensions (`outer_radius_error`, `tendon_angle_error`), best with
-            priors. With a history it may be `before` (`before_2` for trial 2), the largest base tension before the
-            first row, N; of several tendons that of tendon 1 before it, and `before_tendon_2` (`before_tendon_2_3` for
-            trial 3).
+            modulus friction and `stiffness_factor`. It may also be the constant drag per length, gain and zero of the
+            cells (`tip_gain`, `base_zero`, `tip_gain_2` for the cell of tendon 2), `pretension`, `angle_zero`, the pose
+            of the camera that sees tip and markers (`camera_x`, ..., `camera_turn_z`; "camera" for all of it: its start
+            is found from the readings), the direction of gravity (`gravity_turn_x`, ...), and errors of dimensions
+            (`outer_radius_error`, `tendon_angle_error`), best with priors. With a history it may be friction besides
+            that of tendons on the body (`friction_moment`, `outside_friction`, `outside_drag`), of tendons driven by
+            displacement what stands between motor and body (`slack_offset`, `outside_compliance`, `backlash`, `lag`),
+            or `before` (`before_2` for trial 2), the largest base tension before the first row, N; of several tendons
+            that of tendon 1 before it, and `before_tendon_2` (`before_tendon_2_3` for trial 3).
         priors: by parameter, mean and standard deviation of a Gaussian, SI units.
         bounds: by parameter, (lower, upper), SI units; default (0, None) for what is positive.
         noise: by column, known standard deviation, SI units, a number or one per row, or `Noise(floor, fraction)`;

@@ -96,7 +96,8 @@ def along_a_path(manipulator: Manipulator, parameters: Sequence[str]) -> list[st
         for name in RUBBING
         if any(getattr(owner, name, None) is not None for owner in (manipulator, *manipulator.tendons))
     ]
-    given = [name for name in parameters if name.rstrip("_0123456789") in (*RUBBING, "backlash", "lag")]
+    given = [parameter_named(name).name for name in parameters if not name.startswith(TRIALS)]
+    given = [name for name in given if name in (*RUBBING, "backlash", "lag")]
     return [*dict.fromkeys([*own, *given])]
 
 
@@ -143,7 +144,7 @@ def starting_value(manipulator: Manipulator, name: str, given: Mapping[str, floa
     if given and name in given:
         return float(given[name])
     own = getattr(manipulator, name, None)
-    if (stem := name.rstrip("_0123456789")) in OUTSIDE:
+    if (stem := parameter_named(name).name) in OUTSIDE:
         number = tendon_number(name) - 1
         compliance = manipulator.tendon_outside_compliance[number]
         own = compliance if stem == "outside_compliance" else getattr(manipulator.tendons[number], stem)

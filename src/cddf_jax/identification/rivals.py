@@ -7,7 +7,7 @@ beside it. It takes no other fit, and is as good as the linearisation.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import numpy as np
@@ -15,20 +15,21 @@ import numpy as np
 from ..estimation.determination import IDENTIFIED
 from ..estimation.evidence import without_nan
 from ..estimation.least_squares import LeastSquaresFit
+from ..measurements.readings import SET, kind_of_set
 from ..measurements.table import Measurements
 from ..quantities import dimension_of
 from ..units import shown
-from .bench import Bench, BenchModel, groups_of
+from .bench import Bench, BenchModel, Group, groups_of
 from .course import course_of, paths_of
-from .parameters import PARAMETERS
+from .parameters import PARAMETERS, along_a_path, parameter_named
 from .predictions import noise_of_readings
+
+Options: TypeAlias = Mapping[str, Any]
 
 RIVALS = ("lag", "backlash", "friction_moment", "outside_drag")
 FRICTION = "friction_coefficient"
 CLEAR = 6.0  # in BIC: a smaller gain is no reason to doubt
-WIDER = (
-    3.0  # times the standard error of friction: beside a rival that widens it so much the data do not tell them apart
-)
+WIDER = 3.0  # times the standard error of friction: the data do not tell it from a rival that widens it so much
 
 
 class Rival(NamedTuple):
@@ -59,51 +60,59 @@ class Rival(NamedTuple):
         return ""
 
 
-def rivals_of(
-    fit: LeastSquaresFit, tables: Sequence[Measurements], model: BenchModel, history: Any, short_steps: int
-) -> list[Rival]:
+def rivals_of(fit: LeastSquaresFit, tables: Sequence[Measurements], model: BenchModel, options: Options) -> list[Rival]:
     """What else may have made the loops of a fit; [] where friction is not identified or no displacement turns.
 
     Args:
         fit: its statistics.
         tables, model: its data and its bench.
-        history, short_steps: as they were given to `fit`.
+        options: `noise`, `history` and `short_steps` as they were given to `fit`.
     """
-    if not fit.success or fit.status.get(FRICTION) != IDENTIFIED:
+    driven = [
+        (name, table, one)
+        for name, table, one in zip(model.names, tables, model.experiments, strict=True)
+        if isinstance(one, Bench) and one.course is not None and any(one.course.by_length)
+    ]
+    turns = any(one.course is not None and one.course.turns for _, _, one in driven)
+    if not fit.success or fit.status.get(FRICTION) != IDENTIFIED or not turns:
         return []
-    courses = [one.course for one in model.experiments if isinstance(one, Bench) and one.course is not None]
-    if not any(any(course.by_length) and course.turns for course in courses):
-        return []
-    columns = _columns(fit, tables, model, history, short_steps)
-    return [rival for name in columns if (rival := _rival(fit, name, columns[name])) is not None]
-
-
-def _columns(
-    fit: LeastSquaresFit, tables: Sequence[Measurements], model: BenchModel, history: Any, short_steps: int
-) -> dict[str, np.ndarray]:
-    """By rival, the derivatives of all readings over their noise, whitened; in the order of the fit's rows."""
-    timed = all("time" in table for table in tables)
-    names = [name for name in RIVALS if name not in fit.names and (timed or name != "lag")]
+    timed = all(_has_times(table, options) for _, table, _ in driven)
+    given = [parameter_named(name).name for _, _, one in driven for name in one.setting.given]
+    known = {*along_a_path(model.manipulator, fit.names), *given}
+    names = [name for name in RIVALS if name not in known and (timed or name != "lag")]
     parameters = {**jax.tree.map(np.asarray, dict(fit.parameters)), **{name: np.zeros(()) for name in names}}
+    slopes = {}
+    for name, table, one in driven:
+        noise = {column: value for column, value in options["noise"].items() if kind_of_set(column) in SET}
+        how = {"short_steps": options["short_steps"], "stepped": True, "timed": timed}
+        course, _ = course_of(table, noise, paths=paths_of(table, options["history"]), **how)
+        bench = replace(one, course=course, name=one.name)
+        slopes[name] = bench.evaluate(model.manipulator, parameters, model.nodes).derivatives
     ends = np.cumsum([np.size(parameters[name]) for name in sorted(parameters)])  # in the flat order
     places = dict(zip(sorted(parameters), (ends - 1).tolist(), strict=True))
-    found: dict[str, dict[str, np.ndarray]] = {name: {} for name in names}
-    for label, table, one in zip(model.names, tables, model.experiments, strict=True):
-        slopes: Mapping[str, np.ndarray] = {}
-        if isinstance(one, Bench) and one.course is not None and any(one.course.by_length):
-            paths = paths_of(table, history)
-            course, _ = course_of(table, paths=paths, short_steps=short_steps, stepped=True, timed=timed)
-            bench = replace(one, course=course, name=one.name)
-            slopes = bench.evaluate(model.manipulator, parameters, model.nodes).derivatives
-        for group in (group for group in groups_of(tables, model) if group.name == label):
-            own = slopes[group.column] if slopes else np.zeros((len(table), ends[-1]))
-            for name in names:
-                found[name][group.label] = own[group.there, places[name]] / noise_of_readings(fit, group)
-    problem = fit.minimum.problem
-    return {
-        name: np.asarray(problem.shared.whitened(np.concatenate([own[label] for label in problem.groups])))
-        for name, own in found.items()
+    groups = groups_of(tables, model)
+    columns = {name: _column(fit, groups, slopes, places[name]) for name in names}
+    return [rival for name in names if (rival := _rival(fit, name, columns[name])) is not None]
+
+
+def _has_times(table: Measurements, options: Options) -> bool:
+    """Whether the times of each path rise, so that a lag has an effect."""
+    paths = paths_of(table, options["history"]) or []
+    return "time" in table and all(np.all(np.diff(table["time"][rows]) > 0) for rows in paths)
+
+
+def _column(
+    fit: LeastSquaresFit, groups: Sequence[Group], slopes: Mapping[str, Mapping[str, np.ndarray]], place: int
+) -> np.ndarray:
+    """The derivatives of all readings by one parameter over their noise, whitened, in the order of the fit's rows."""
+    own = {
+        group.label: slopes[group.name][group.column][group.there, place] / noise_of_readings(fit, group)
+        if group.name in slopes
+        else np.zeros(np.count_nonzero(group.there))
+        for group in groups
     }
+    problem = fit.minimum.problem
+    return np.asarray(problem.shared.whitened(np.concatenate([own[label] for label in problem.groups])))
 
 
 def _rival(fit: LeastSquaresFit, name: str, column: np.ndarray) -> Rival | None:

@@ -13,7 +13,7 @@ from ..measurements.columns import is_reading
 from ..measurements.holds import ALARM, LEAST_PAIRS
 from ..measurements.jitter import Steady, merged_levels
 from ..measurements.left_out import CONTRADICTED, as_leave_out, named_rows, rows_in_words, sources
-from ..measurements.readings import kind_of_set, of_shape, set_by
+from ..measurements.readings import kind_of_set, of_shape, set_by, tendon_number
 from ..measurements.table import Measurements
 from ..measurements.table_warnings import warnings_of
 from ..measurements.trials import repeated_tables
@@ -111,6 +111,11 @@ def fit_warnings(fit: "Fit") -> list[str]:
         f"{name}: each row was followed from rest, with all that was set in proportion"
         for name, table, one in benches
         if one.in_order is None and len(table) > 1
+    ]
+    found += [
+        f"{name}: no column for tendon {', '.join(str(i) for i in sorted(slack))}: taken as slack"
+        for name, table, one in benches
+        if (slack := {*range(1, fit.manipulator.num_tendons + 1)} - {*map(tendon_number, set_by(table.columns))})
     ]
     found += [
         _jitter_in_words(name, table, column, steady)

@@ -12,12 +12,14 @@ from .table import Measurements
 LEAST_PAIRS = 5  # of places on the way back, to be told from noise
 SURE = 5.0  # standard errors of the mean by which loops run backwards
 MOST_OTHERS = 0.1  # of the places may lie on the other side
+LEAST_WIDTH = 1e-3  # of the whole motion: a narrower loop is none
 
 
 def loop_widths(table: Measurements) -> np.ndarray:
     """Bending on the way back less that on the way there, at the displacements of the way back; rad, or m of the tip.
 
-    Trials in which one displacement is pulled in and released; places that the way there did not reach are left out.
+    Of trials in which one displacement is pulled in and released, where the way there has readings on both sides. What
+    straight lines between these readings may miss is taken off.
     """
     columns = set_by(table.columns)
     if len(columns) != 1 or kind_of_set(columns[0]) != "displacement":
@@ -27,11 +29,22 @@ def loop_widths(table: Measurements) -> np.ndarray:
         pulled, bend = table[columns[0]][rows], _bending(table, rows)
         peak = int(np.argmax(pulled))
         there, back = slice(0, peak + 1), slice(peak + 1, None)
-        if peak < 2 or np.any(np.diff(pulled[there]) <= 0) or not np.all(np.isfinite(bend)):
+        if peak < 3 or np.any(np.diff(pulled[there]) <= 0) or not np.all(np.isfinite(bend)):
             continue
         inside = pulled[back] >= pulled[0]
-        found.append((bend[back] - np.interp(pulled[back], pulled[there], bend[there]))[inside])
+        widths = (bend[back] - np.interp(pulled[back], pulled[there], bend[there]))[inside]
+        doubtful = max(_missed_between(pulled[there], bend[there]), LEAST_WIDTH * float(np.ptp(bend)))
+        found.append(np.sign(widths) * np.maximum(np.abs(widths) - doubtful, 0.0))
     return np.concatenate(found)
+
+
+def _missed_between(pulled: np.ndarray, bend: np.ndarray) -> float:
+    """The error of straight lines between the readings of a curve: at each reading, of a line between its neighbours.
+
+    Such a line is twice as long as those between the readings, so that its error is about four times theirs.
+    """
+    part = (pulled[1:-1] - pulled[:-2]) / (pulled[2:] - pulled[:-2])
+    return float(np.mean(np.abs(bend[:-2] + part * (bend[2:] - bend[:-2]) - bend[1:-1])))
 
 
 def runs_backwards(table: Measurements) -> str:
