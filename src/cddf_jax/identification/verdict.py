@@ -35,6 +35,7 @@ LARGEST_FRICTION = 2.0  # a larger coefficient gives a warning
 CHANCE = 1e-3  # p-value below which residuals drift, or differ from trial to trial
 SHOWN = 4  # levels that a warning names
 LARGEST_MOVE = 0.5  # standard errors; a larger error by increments gives a warning
+LEAST_RESIDUAL = 0.1  # over the noise; smaller residuals that are alike make no error too small
 AGAINST = "tendons travel against the direction that was found for them"
 MOST = 0.5  # of a table's rows; with more rows without a solution the fit fails
 OUTSIDE = {  # statuses of rows without a solution, by their names in messages
@@ -214,7 +215,7 @@ def alike_neighbours(fit: "Fit") -> str:
     one, other = np.concatenate([np.zeros((2, 0)), *pairs], axis=1)
     size = float(np.sum(one**2 + other**2) / 2)
     correlation = float(one @ other) / size if size > 0 else 0.0
-    if one.size < LEAST_PAIRS or correlation <= ALARM / np.sqrt(one.size):
+    if one.size < LEAST_PAIRS or correlation <= ALARM / np.sqrt(one.size) or size < LEAST_RESIDUAL**2 * one.size:
         return ""
     factor = np.sqrt((1 + correlation) / (1 - correlation))
     return (
