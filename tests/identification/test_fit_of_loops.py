@@ -706,6 +706,23 @@ def changed(columns):
     return cddf.fit(BODY, Measurements.from_columns("bench", **{**noisy, **columns(noisy)}), ALL, noise=NOISE)
 
 
+def test_standard_errors_of_readings_whose_neighbours_are_alike():
+    """The scatter of many fits, of noise r_k = 0.7 r_(k-1) + white; each fit by its linearisation."""
+    rng, slow = np.random.default_rng(8), np.zeros((1000, 2, LOOP.size))
+    for k in range(LOOP.size):
+        white = rng.normal(size=slow.shape[:2])
+        slow[..., k] = 0.7 * slow[..., k - 1] + np.sqrt(1 - 0.7**2) * white if k else white
+    read = zip(NOISE, loop(), slow[0], strict=True)
+    columns = {name: value + NOISE[name] * own for name, value, own in read}
+    table = Measurements.from_columns("bench", base_tension=LOOP, step=np.arange(LOOP.size), **columns)
+    fit = cddf.fit(BODY, table, ALL[:2], noise=NOISE)
+    assert fit.neighbours == pytest.approx(0.7, abs=0.15)
+    assert "times those of independent readings" in fit.warnings[0]
+    rows = {label: slow[:, list(NOISE).index(label.split(": ")[-1])] for label in fit.evidence.rows}
+    scatter = np.std(np.concatenate([*rows.values()], axis=1) @ np.linalg.pinv(fit.evidence.jacobian).T, axis=0)
+    assert [fit.standard_error[name] for name in ALL[:2]] == pytest.approx(scatter * fit.evidence.size, rel=0.25)
+
+
 def test_creep_drifts():
     """The tip angle creeps by 5 % until the last row; without creep nothing is said."""
     found = changed(lambda read: {"tip_angle": read["tip_angle"] * (1 + 0.05 * np.arange(33) / 32)})

@@ -127,6 +127,11 @@ class Evidence:
         """Only some of the data: `kept` selects rows of its groups. Other groups and the priors stay complete."""
         return self._selected({name: kept.get(name, np.full(len(own), True)) for name, own in self.rows.items()})
 
+    def enlarged(self, factors: Mapping[str, float]) -> "Evidence":
+        """With the variance of the noise of some groups times a factor, as where their data are not independent."""
+        rows = {name: own / np.sqrt(factors.get(name, 1.0)) for name, own in self.rows.items()}
+        return replace(self, rows=rows)
+
     def _selected(self, kept: Mapping[str, np.ndarray]) -> "Evidence":
         """Only some rows of each group, whitened anew: what they have in common with other rows no longer counts."""
         every, count = np.concatenate([*kept.values()]), len(self.shared.basis)

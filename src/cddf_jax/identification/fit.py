@@ -1,7 +1,7 @@
 """`fit`: friction, modulus and the errors of the bench from measurements; and what the data do not determine."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, Literal
 
@@ -10,6 +10,7 @@ from jaxtyping import ArrayLike
 
 from ..errors import InputError, within
 from ..estimation.determination import FIXED, Determination, Estimate, determine, estimate
+from ..estimation.evidence import Evidence
 from ..estimation.least_squares import LeastSquaresFit, least_squares_fit
 from ..estimation.observations import Noise
 from ..estimation.parameter_space import Bounds, Priors
@@ -45,7 +46,18 @@ from .predictions import Numbers, Prediction, beyond_the_data, moved_by_finer_st
 from .random_effects import errors_of_base, fit_trials
 from .rivals import Rival, rivals_of
 from .tension_before import Before, first_guesses, starts_of
-from .verdict import AGAINST, SolveResults, alike_neighbours, doubt, drift_of, fit_warnings, solve_results, verdict_of
+from .verdict import (
+    AGAINST,
+    SolveResults,
+    doubt,
+    drift_of,
+    fit_warnings,
+    neighbours,
+    neighbours_in_words,
+    solve_results,
+    variance_of_neighbours,
+    verdict_of,
+)
 
 POSITIVE = (0.0, None)
 ROUNDS = 5  # of fits, each without the rows that the fits before contradict
@@ -60,6 +72,8 @@ class Fit(LeastSquaresFit):
     model: bench.BenchModel  # the bench: from parameters to readings
     trial_effects: dict[str, Estimate]  # by table and trial, ln(mu of the trial / mu); empty without `per_trial`
     trial_spread: float  # standard deviation of ln(mu) over trials; 0 if none was found, NaN without `per_trial`
+    neighbours: float  # correlation of residuals of neighbouring rows of histories; 0 if it may be chance
+    widened: Evidence  # with more noise where neighbours are alike; of it are statuses, standard errors and intervals
     solve_results: tuple[SolveResults, ...]  # how the solves of each table of the manipulator ended
     without_jitter: dict[str, Steady]  # by table and column that was set, of tables with a history
     setting: BenchSetting  # what all rows share
@@ -81,7 +95,7 @@ class Fit(LeastSquaresFit):
         """What each table alone, without priors, would determine."""
         labels = {name: [g.label for g in self.groups if g.name == name] for name in self.model.names}
         trials = [name for name in self.evidence.space.names if name.startswith(TRIALS)]
-        return {name: self.determined_by(*of, with_priors_of=trials) for name, of in labels.items()}
+        return {name: determine(self.widened.of(of, trials)) for name, of in labels.items()}
 
     @property
     def groups(self) -> list[bench.Group]:
@@ -178,8 +192,12 @@ class Fit(LeastSquaresFit):
         """The remarks of any fit; samples of a hold that are not independent; readings with a history that drift."""
         alike = (f"{label}: {one.remark}" for label, one in self.serial_correlation.items() if one.remark)
         drifts = (drift_of(self, group) for group in self.groups if self.success)
-        neighbours = alike_neighbours(self) if self.success else ""
-        return (*super().remarks, *alike, *filter(None, (*drifts, neighbours)))
+        wider = neighbours_in_words(self.neighbours) if self.success and self.neighbours else ""
+        return (*super().remarks, *alike, *filter(None, (*drifts, wider)))
+
+    def band(self, sensitivity: np.ndarray) -> np.ndarray:
+        """As of any fit, wider where neighbouring rows are alike."""
+        return self.widened.uncertainty(sensitivity).half_width
 
     @property
     def serial_correlation(self) -> dict[str, SerialCorrelation]:
@@ -205,7 +223,7 @@ class Fit(LeastSquaresFit):
             and g.experiment.course.turns
             and g.experiment.course.past is None
         }
-        return determine(self.evidence.within(turned)) if turned else None
+        return determine(self.widened.within(turned)) if turned else None
 
     @cached_property
     def moved_by_steps(self) -> dict[str, float]:
@@ -471,6 +489,9 @@ def _conclude(
     reasons = unexplained_pose(statistics, groups, body), doubt(ends), *map(runs_backwards, followed)
     if statistics.success and (reason := next(filter(None, reasons), "")):
         statistics = statistics.doubted(reason)
+    correlation, labels = neighbours(statistics.standardised_residuals, groups)
+    widened = statistics.evidence.enlarged(dict.fromkeys(labels, variance_of_neighbours(correlation)))
+    statistics = replace(statistics, **vars(determine(widened)))
     both = "friction_coefficient", stiffness_parameter(body)
     fixed = {n: starting_value(body, n) for n in both if n not in statistics.names}
     own = [name for name in statistics.names if not name.startswith(TRIALS)]
@@ -483,7 +504,7 @@ def _conclude(
     found = vars(statistics)
     trials = [f"{name}: {label}" for name, table in zip(model.names, tables, strict=True) for label in _trials(table)]
     rows = {n: row for n, row in zip(statistics.names, np.eye(len(statistics.names)), strict=True) if n not in own}
-    effects = [estimate(statistics.value[n], statistics.evidence.uncertainty(row[None])) for n, row in rows.items()]
+    effects = [estimate(statistics.value[n], widened.uncertainty(row[None])) for n, row in rows.items()]
     return Fit(
         **found | {field: {n: found[field][n] for n in own} | more for field, more in of_fixed.items()},
         manipulator=with_parameters(body, {**setting.given, **statistics.parameters}),
@@ -491,6 +512,8 @@ def _conclude(
         model=model,
         trial_effects=dict(zip(trials, effects, strict=True)) if effects else {},
         trial_spread=trial_spread,
+        neighbours=correlation,
+        widened=widened,
         solve_results=ends,
         without_jitter=without_jitter,
         setting=setting,

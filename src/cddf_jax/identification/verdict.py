@@ -1,6 +1,6 @@
 """The result of a fit in words: what the data determine and what not, why the fit is doubtful, and warnings."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -198,16 +198,17 @@ def drift_of(fit: "Fit", group: Group) -> str:
     )
 
 
-def alike_neighbours(fit: "Fit") -> str:
-    """In words, that residuals of neighbouring rows of histories are alike, so that errors are too small; "" if not.
+def neighbours(residuals: Mapping[str, np.ndarray], groups: Sequence[Group]) -> tuple[float, list[str]]:
+    """How far standardised residuals of neighbouring rows of histories are correlated, and the groups of these rows.
 
-    The factor is that of a first-order autoregression: n such readings tell as much as n (1 - r) / (1 + r) others.
+    0 where independent readings could be as correlated by chance, and where residuals are far below the noise.
     """
-    pairs = []
-    for group in fit.groups:
+    pairs, labels = [], []
+    for group in groups:
         course = group.experiment.course if isinstance(group.experiment, Bench) else None
         if course is not None and not course.each_from_rest:
-            residual, trial = fit.standardised_residuals[group.label], np.asarray(course.trial)[group.there]
+            labels.append(group.label)
+            residual, trial = residuals[group.label], np.asarray(course.trial)[group.there]
             order = np.lexsort((np.asarray(course.step)[group.there], trial))
             residual, trial = residual[order], trial[order]
             same = trial[1:] == trial[:-1]
@@ -215,12 +216,21 @@ def alike_neighbours(fit: "Fit") -> str:
     one, other = np.concatenate([np.zeros((2, 0)), *pairs], axis=1)
     size = float(np.sum(one**2 + other**2) / 2)
     correlation = float(one @ other) / size if size > 0 else 0.0
-    if one.size < LEAST_PAIRS or correlation <= ALARM / np.sqrt(one.size) or size < LEAST_RESIDUAL**2 * one.size:
-        return ""
-    factor = np.sqrt((1 + correlation) / (1 - correlation))
+    chance = one.size < LEAST_PAIRS or correlation <= ALARM / np.sqrt(one.size)
+    return (0.0 if chance or size < LEAST_RESIDUAL**2 * one.size else correlation), labels
+
+
+def variance_of_neighbours(correlation: float) -> float:
+    """The variance of means of correlated readings over that of independent ones, of a first-order autoregression."""
+    return (1 + correlation) / (1 - correlation)
+
+
+def neighbours_in_words(correlation: float) -> str:
+    """That residuals of neighbouring rows are alike, and what was done."""
     return (
         f"residuals of neighbouring rows are alike (correlation {correlation:.2f}), as a wrong model makes them: "
-        f"standard errors and intervals are too small, by a factor of about {factor:.1f}"
+        f"standard errors and intervals are {np.sqrt(variance_of_neighbours(correlation)):.1f} times those of "
+        "independent readings"
     )
 
 
