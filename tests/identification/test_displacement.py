@@ -72,6 +72,13 @@ def test_tip_angles_hold_the_product_of_modulus_and_compliance():
     found = cddf.fit(guess(), loop(1e-3, noisy=True), free, noise=KNOWN)
     assert found.status["youngs_modulus"] == found.status["outside_compliance"] == "not identified"
     assert found.status["friction_coefficient"] == found.status["slack_offset"] == "identified"
+    path = 1e-3 * np.array([3.0, 11.0, 5.0])
+    truth = cddf.trace(robot(), [cddf.Displacement(path)]).tip_angle
+    predicted = found.predict("tip_angle", displacement=path + 1e-3, history=True)
+    assert np.all(np.abs(predicted.value - truth) < 3 * predicted.half_width)
+    assert np.all(predicted.half_width < 2 * ANGLE)
+    assert found.predict("tip_angle", displacement=14e-3).extrapolated.tolist() == [True]
+    assert refused(found.predict, "tip_angle") == "predict: give either base_tension or displacement, of all tendons"
     (product,) = (line for line in found.verdict if line.startswith("outside_compliance * youngs_modulus"))
     assert "identified, although its factors are not" in product
     value = found.value["youngs_modulus"] * found.value["outside_compliance"]

@@ -42,7 +42,15 @@ from .parameters import (
     stiffness_parameter,
     with_parameters,
 )
-from .predictions import Numbers, Prediction, beyond_the_data, moved_by_finer_steps, predicted_rows
+from .predictions import (
+    Numbers,
+    Prediction,
+    TipMisfit,
+    beyond_the_data,
+    moved_by_finer_steps,
+    predicted_rows,
+    tip_misfits,
+)
 from .random_effects import errors_of_base, fit_trials
 from .rivals import Rival, rivals_of
 from .tension_before import Before, first_guesses, starts_of
@@ -132,9 +140,11 @@ class Fit(LeastSquaresFit):
     def predict(
         self,
         column: str,
-        base_tension: Numbers,
+        base_tension: Numbers | None = None,
         tip_force: Numbers = (0.0, 0.0),
         *,
+        displacement: Numbers | None = None,
+        time: ArrayLike | None = None,
         history: bool = False,
         before: Before = "rest",
     ) -> Prediction:
@@ -145,17 +155,23 @@ class Fit(LeastSquaresFit):
                 column of a marker of the data, "x@120mm".
             base_tension: N, (rows,) where every tendon has the same tension, or (rows, tendons).
             tip_force: N, (2,) or (rows, 2), of a body in space (3,) or (rows, 3).
-            history: whether the base tensions are a path, pulled and released in this order; every turn counts. Else
-                each row is an equilibrium of its own, with the directions that `solve` finds.
+            displacement: m, as the encoders read, in place of base tensions and in the same shapes.
+            time: s, (rows,), of a path by displacement; needed where the fit knows a lag.
+            history: whether the rows are a path, pulled and released in this order; every turn counts. Else
+                each row is an equilibrium of its own, with the directions that `solve` finds; by displacement it is
+                pulled from rest.
             before: with a history, the tensions before the first row: "rest", or base tensions, N, as in `fit`.
 
         Raises:
             InputError: for another column, conditions of other shapes, or a path that `fit` could not follow.
         """
-        tendons, setting = self.manipulator.num_tendons, self._setting(column)
-        followed = {"history": history, "before": before, "short_steps": self._short_steps}
-        followed |= {"stepped": self.manipulator.has_memory}
-        wanted = predicted_rows(base_tension, tip_force, tendons, setting, **followed)
+        body, setting = self.manipulator, self._setting(column)
+        stepped = body.has_memory or setting.loads is not None
+        timed = "lag" in along_a_path(body, (*self.names, *setting.given))
+        how = {"short_steps": self._short_steps, "stepped": stepped, "timed": timed, "in_space": body.in_space}
+        pulls = {"base_tension": base_tension, "displacement": displacement}
+        path = {"time": time, "history": history, "before": before}
+        wanted = predicted_rows(pulls, tip_force, body.num_tendons, setting, **path, **how)
         shown = wanted.evaluate(self.model.manipulator, self.parameters, self.model.nodes)
         if column not in shown.readings:
             raise InputError(f"predict: {column!r} is not a reading; there are {', '.join(shown.readings)}")
@@ -229,6 +245,11 @@ class Fit(LeastSquaresFit):
     def moved_by_steps(self) -> dict[str, float]:
         """By parameter, its error by the increments of a history, over its standard error; {} without increments."""
         return moved_by_finer_steps(self) if self.success else {}
+
+    @property
+    def tip_misfits(self) -> dict[str, TipMisfit]:
+        """By table of a body in space that bends in one plane, how far its tip is off in this plane and across it."""
+        return tip_misfits(self)
 
     @cached_property
     def rivals(self) -> list[Rival]:

@@ -3,9 +3,9 @@
 Also: which predictions lie beyond the data, and how far finer steps along a history would move the estimates.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import numpy as np
@@ -20,7 +20,7 @@ from ..mechanics.capstan import pulling_tension
 from ..numerics.arrays import evaluated
 from ..numerics.given_numbers import check_numbers
 from .bench import AllRows, Bench, BenchModel, Group
-from .course import SHORT_STEPS, between, course_of
+from .course import between, course_of, paths_of
 from .parameters import TRIALS
 from .tension_before import REST, Before, starts_of
 
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from .fit import Fit
 
 SPANNED = 1e-9  # of the largest tension or force: rows as close to the range of the data count as inside
+TIP = ("tip_x", "tip_y", "tip_z")
+FLAT = 0.1  # scatter of places across a plane over the smaller one within it, below which they count as in a plane
 GRID = 100  # points of a curve
 
 Numbers = ArrayLike | Sequence[float] | Sequence[Sequence[float]]
@@ -42,66 +44,73 @@ class Prediction(NamedTuple):
 
 
 def predicted_rows(
-    base_tension: Numbers,
+    pulls: Mapping[str, Numbers | None],
     tip_force: Numbers,
     tendons: int,
     setting: AllRows,
     *,
+    time: ArrayLike | None = None,
     history: bool = False,
     before: Before = REST,
-    short_steps: int = SHORT_STEPS,
-    stepped: bool = False,
+    **how: Any,
 ) -> Bench:
     """The rows to predict; arguments as in `Fit.predict`, and the setting that all rows share.
 
-    `stepped`: as in `course_of`.
+    `pulls`: "base_tension" and "displacement", one of them None. `how`: as in `course_of`.
 
     Raises:
         InputError: for numbers that are not finite, tensions below 0, shapes that do not fit.
     """
-    for name, given in {"base_tension": base_tension, "tip_force": tip_force}.items():
+    stated = [(name, values) for name, values in pulls.items() if values is not None]
+    if len(stated) != 1:
+        raise InputError("predict: give either base_tension or displacement, of all tendons")
+    ((kind, values),) = stated
+    for name, given in {kind: values, "tip_force": tip_force}.items():
         check_numbers(f"predict: {name}", given)
         if not np.all(np.isfinite(np.asarray(given, np.float64))):
             raise InputError(f"predict: {name} must hold finite numbers")
-    tension = np.atleast_1d(np.asarray(base_tension, dtype=np.float64))
-    if np.any(tension < 0):
-        raise InputError(f"predict: base_tension must be 0 N or more, got {np.min(tension):g}; a tendon only pulls")
-    tension = tension[:, None] if tension.ndim == 1 else tension
-    rows = len(tension)
+    pull = np.atleast_1d(np.asarray(values, dtype=np.float64))
+    if kind == "base_tension" and np.any(pull < 0):
+        raise InputError(f"predict: base_tension must be 0 N or more, got {np.min(pull):g}; a tendon only pulls")
+    pull = pull[:, None] if pull.ndim == 1 else pull
+    rows = len(pull)
     try:
-        pulled = np.broadcast_to(tension, (rows, tendons))
+        pulled = np.broadcast_to(pull, (rows, tendons))
         components = 3 if np.shape(tip_force)[-1:] == (3,) else 2
         force = np.broadcast_to(np.asarray(tip_force, np.float64), (rows, components))
     except ValueError:
         raise InputError(
-            f"predict: needs base_tension (rows,) or (rows, {tendons}), tip_force (2,) or (rows, 2), in space (3,) or "
-            f"(rows, 3); got {np.shape(base_tension)} and {np.shape(tip_force)}"
+            f"predict: needs {kind} (rows,) or (rows, {tendons}), tip_force (2,) or (rows, 2), in space (3,) or "
+            f"(rows, 3); got {np.shape(pull)} and {np.shape(tip_force)}"
         ) from None
     if before != REST and not history:
         raise InputError("predict: before is used with a history only; give history=True")
     course = None
-    if history:
+    if history or kind == "displacement":
         with within("predict"):
-            starts = starts_of([1], before, (), tendons)[0]
-        columns = dict(zip(of_tendons("base_tension", tendons), pulled.T, strict=True))
+            starts = starts_of([1], before, (), tendons)[0] if history else None
+        columns = dict(zip(of_tendons(kind, tendons), pulled.T, strict=True))
         columns |= {f"tip_force_{axis}": own for axis, own in zip("xyz", force.T, strict=False)}
+        columns |= {} if time is None else {"time": np.asarray(time, np.float64)}
         path = Measurements("predict", columns, np.arange(1, rows + 1))
-        stepped = stepped or setting.loads is not None
-        course, _ = course_of(path, {"base_tension": 0.0}, starts, short_steps, stepped=stepped)
+        course, _ = course_of(path, {kind: 0.0}, starts, paths=paths_of(path, history), **how)
     return Bench(pulled, (None,) * tendons, force if np.any(force) else None, course=course, setting=setting)
 
 
 def beyond_the_data(wanted: Bench, model: BenchModel) -> np.ndarray:
-    """Which rows lie outside the range of the data, in any base tension or any component of the tip force."""
+    """Which rows lie outside the range of the data, in any base tension, displacement or component of the tip force."""
+
+    tendons = model.manipulator.num_tendons
 
     def conditions(bench: Bench) -> np.ndarray:
-        force = np.zeros((len(bench.actuation), 3))
+        force, pulls = np.zeros((len(bench.actuation), 3)), np.zeros((len(bench.actuation), tendons))
+        pulls[:, slice(None) if bench.tendons is None else np.asarray(bench.tendons)] = bench.actuation
         if bench.tip_force is not None:
             force[:, : np.shape(bench.tip_force)[1]] = bench.tip_force
-        return np.concatenate([bench.actuation, force], axis=1)
+        return np.concatenate([pulls, force], axis=1)
 
     benches = [one for one in model.experiments if isinstance(one, Bench)]
-    measured = [conditions(one) for one in benches if one.course is None or not any(one.course.by_length)]
+    measured = [conditions(one) for one in benches if one.is_driven == wanted.is_driven]
     there = conditions(wanted)
     if not measured:
         return np.ones(len(there), bool)
@@ -137,6 +146,36 @@ def moved_by_finer_steps(fit: "Fit") -> dict[str, float]:
         over = np.abs(moved) / spectrum.relative_error
     own = zip(fit.names, over.tolist(), strict=True)
     return {name: value for name, value in own if not name.startswith(TRIALS)} if found else {}
+
+
+class TipMisfit(NamedTuple):
+    """Root mean squares of the distance between read and predicted places of the tip, m."""
+
+    in_plane: float  # in the plane in which the body bends
+    across: float  # at right angles to it
+
+
+def tip_misfits(fit: "Fit") -> dict[str, TipMisfit]:
+    """By table of a body in space whose tip bends in one plane, how far its places are off in this plane and across it.
+
+    The plane is the one nearest to all predicted places.
+    """
+    found = {}
+    for name in fit.model.names:
+        groups = {group.column: group for group in fit.groups if group.name == name}
+        if not {*TIP} <= {*groups}:
+            continue
+        every = np.all([groups[column].there for column in TIP], axis=0)
+        off, read = (
+            np.stack([of[groups[column].label][every[groups[column].there]] for column in TIP], axis=1)
+            for of in (fit.residuals, {group.label: group.observed for group in groups.values()})
+        )
+        place = read - off
+        _, sizes, axes = np.linalg.svd(place - place.mean(axis=0), full_matrices=False)
+        if len(place) > 3 and sizes[2] < FLAT * sizes[1]:
+            across = np.mean((off @ axes[2]) ** 2)
+            found[name] = TipMisfit(float(np.sqrt(np.mean(np.sum(off**2, axis=1)) - across)), float(np.sqrt(across)))
+    return found
 
 
 def noise_of_readings(fit: LeastSquaresFit, group: Group) -> np.ndarray:

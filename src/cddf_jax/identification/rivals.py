@@ -71,7 +71,7 @@ def rivals_of(fit: LeastSquaresFit, tables: Sequence[Measurements], model: Bench
     driven = [
         (name, table, one)
         for name, table, one in zip(model.names, tables, model.experiments, strict=True)
-        if isinstance(one, Bench) and one.course is not None and any(one.course.by_length)
+        if isinstance(one, Bench) and one.is_driven
     ]
     turns = any(one.course is not None and one.course.turns for _, _, one in driven)
     if not fit.success or fit.status.get(FRICTION) != IDENTIFIED or not turns:
