@@ -1,0 +1,128 @@
+"""How often 95 % intervals from displacements contain the true value: `python benchmarks/driven_coverage.py`.
+
+Tendons on a tube of 140 mm are driven by motors with encoders; what they pull on gives way by 0.02 mm/N. A tracker
+sees the tip. Encoders have 0.05 mm of noise, the tracker 0.5 mm; both are given to the fit. There are three benches:
+
+- one tendon, a loop to 10 mm with a smaller one inside, 27 readings;
+- a pair, each tendon pulled and released in turn while the other one is held, 24 readings;
+- three tendons in space, each pulled and released in turn while the others are held, 24 readings.
+
+Friction coefficient, modulus, compliance and the slack offset of each tendon are fitted. Displacements hold the product
+of modulus and compliance only, so that neither may be called identified. The benches are simulated with twice the
+elements and increments of the fit. The seed is fixed beforehand, 23; bench k is drawn from (23, k).
+"""
+
+import argparse
+from typing import Any
+
+import numpy as np
+from table import report
+
+import cddf_jax as cddf
+from cddf_jax.application import configure_jax
+
+SEED = 23
+ENCODER, TRACKER = 5e-5, 5e-4  # m
+MU, MODULUS, COMPLIANCE, OFFSET = 0.3, 1.4e6, 2e-5, 5e-4  # 1, Pa, m/N, m
+PRODUCT = "outside_compliance * youngs_modulus"
+UNKNOWN = ("youngs_modulus", "outside_compliance")
+ONE = [0, 2, 4, 6, 8, 10, 8, 6, 4, 2, 4, 6, 8, 6, 4, 2, 4, 6, 8, 10, 12, 10, 8, 6, 4, 2, 0.5]  # mm
+PULL = [3, 5, 7, 9, 7, 5, 3, 2]  # mm, of one of several tendons
+HELD = 2.0  # mm, of the others
+
+
+def path_of(tendons: int) -> np.ndarray:
+    """(rows, tendons), how far each tendon is pulled in, m."""
+    if tendons == 1:
+        return 1e-3 * np.array(ONE)[:, None]
+    rows = np.full((24, tendons), HELD)
+    for part in range(24 // len(PULL)):
+        rows[part * len(PULL) :][: len(PULL), part % tendons] = PULL
+    return 1e-3 * rows
+
+
+def body_of(tendons: int, mu: float, modulus: float, compliance: float) -> cddf.Manipulator:
+    """A tube with tendons spread evenly about its axis."""
+    if tendons == 3:
+        own = [cddf.Tendon(0.009, angle=2 * np.pi * k / 3, outside_compliance=compliance) for k in range(3)]
+    else:
+        own = [cddf.Tendon(0.009, side, outside_compliance=compliance) for side in (1, -1)[:tendons]]
+    return cddf.Manipulator(
+        length=0.14,
+        outer_radius=0.012,
+        inner_radius=0.007,
+        youngs_modulus=modulus,
+        friction_coefficient=mu,
+        tendons=own,
+    )
+
+
+def bench(tendons: int, rng: np.random.Generator) -> cddf.Measurements:
+    """One simulated table."""
+    path, ends = path_of(tendons), ("", "_2", "_3")[:tendons]
+    pulls = [cddf.Displacement(own) for own in path.T]
+    history = cddf.trace(body_of(tendons, MU, MODULUS, COMPLIANCE), pulls, nodes=32, short_steps=8, throw=False)
+    tip = np.asarray(history.tip_position) + TRACKER * rng.normal(size=history.tip_position.shape)
+    read = path + OFFSET + ENCODER * rng.normal(size=path.shape)
+    columns = {f"displacement{end}": read[:, i] for i, end in enumerate(ends)}
+    columns |= {f"tip_{axis}": own for axis, own in zip("xyz", tip.T, strict=False)} | {"step": np.arange(len(path))}
+    return cddf.Measurements.from_columns("driven", notes=("simulated",), **columns)
+
+
+def coverage(tendons: int, numbers: range) -> dict[str, Any]:
+    """How many intervals hold the truth, of those that a fit gives."""
+    offsets = [f"slack_offset_{k}" for k in range(1, tendons + 1)]
+    truth = {"friction_coefficient": MU, **dict.fromkeys(offsets, OFFSET), PRODUCT: MODULUS * COMPLIANCE}
+    held: dict[str, list[bool]] = {name: [] for name in truth}
+    failed, wrong = 0, 0
+    for k in numbers:
+        table = bench(tendons, np.random.default_rng((SEED, k)))
+        noise = {"displacement": ENCODER} | {c: TRACKER for c in table.columns if c.startswith("tip")}
+        free = ("friction_coefficient", *UNKNOWN, *offsets)
+        fit = cddf.fit(body_of(tendons, 0.2, 1e6, 1e-5), table, free, noise=noise)
+        if not fit.success:
+            failed += 1
+            print(f"bench {k}: {fit.result}", flush=True)
+            continue
+        wrong += any(fit.status[name] == "identified" for name in UNKNOWN)
+        known = {name: fit.confidence_interval[name] for name in fit.names if fit.status[name] == "identified"}
+        known |= {name: one.confidence_interval for name, one in fit.combinations.items()}
+        for name in truth.keys() & known.keys():
+            held[name].append(known[name][0] <= truth[name] <= known[name][1])
+        print(f"bench {k}: mu {fit.value['friction_coefficient']:.3f}", flush=True)
+    shares = {name: {"identified": len(own), "hold": sum(own)} for name, own in held.items()}
+    return {"tendons": tendons, "benches": len(numbers), "failed": failed, "wrongly identified": wrong} | shares
+
+
+def markdown(rows: list[dict[str, Any]]) -> str:
+    """A line for each bench; a cell has the share of the identified ones that hold the truth, and their number."""
+    lines = [
+        "| tendons | benches | failed | modulus or compliance identified | friction | slack offsets | E C |",
+        "| ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
+    ]
+    for row in rows:
+        groups = [["friction_coefficient"], [name for name in row if name.startswith("slack")], [PRODUCT]]
+        cells = []
+        for group in groups:
+            count = sum(row[name]["identified"] for name in group)
+            share = sum(row[name]["hold"] for name in group) / max(count, 1)
+            cells.append(f"{100 * share:.1f} ± {100 * np.sqrt(share * (1 - share) / max(count, 1)):.1f} % of {count}")
+        first = (row["tendons"], row["benches"], row["failed"], row["wrongly identified"])
+        lines.append(f"| {' | '.join(map(str, first))} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """Simulate, print and save."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--tendons", type=int, nargs="*", default=[1, 2, 3])
+    parser.add_argument("--benches", type=int, default=200)
+    parser.add_argument("--first", type=int, default=0, help="the number of the first one")
+    asked = parser.parse_args()
+    configure_jax()
+    rows = [coverage(tendons, range(asked.first, asked.first + asked.benches)) for tendons in asked.tendons]
+    report("driven_coverage", markdown(rows), {"seed": SEED, "results": rows})
+
+
+if __name__ == "__main__":
+    main()
