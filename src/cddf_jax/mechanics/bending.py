@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..numerics import tolerances as tol
-from ..numerics.fixed_point import slope_along
+from ..numerics.fixed_point import newton, slope_along
 from ..robot.cross_section import CrossSection, where_present
 from .friction import PerTendon, bending_loss, drag_loss, tension_rate
 
@@ -93,14 +93,14 @@ def _slanted_curvature(
 ) -> Number:
     """The root of `_moment_gap`, by Newton's method. The gap grows with kappa, so the start may be rough."""
 
-    def newton_step(_, kappa):
+    def step(kappa: Number) -> Number:
         value, slope = _gap_and_slope((section, tension, external_moment), kappa)
         return kappa - value / slope
 
     if start is not None:
-        return newton_step(0, start)
+        return step(start)
     pull = jnp.sum(section.side * section.offset * tension) + external_moment
-    return jax.lax.fori_loop(0, tol.CURVATURE_STEPS, newton_step, pull / section.stiffness)
+    return newton(step, pull / section.stiffness, tol.CURVATURE_STEPS)
 
 
 @_slanted_curvature.def_jvp

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, PyTree
 
 from ..numerics import tolerances as tol
+from ..numerics.fixed_point import picard
 from ..robot.manipulator import Manipulator
 from ..robot.profiles import as_number
 from .friction import PerTendon, Pull, unspent
@@ -73,13 +74,12 @@ def is_contradicted(direction: PerTendon, travel: PerTendon, length: Number) -> 
     return direction * travel < -tol.LEAST_TRAVEL * length
 
 
-class _DirectionSearch(NamedTuple):
+class _Choice(NamedTuple):
     direction: PerTendon  # to be tried next
     best: PyTree  # the best answer so far
     fewest: Number  # contradictions in the best answer
     against: PerTendon  # of the tendons to find: 1 for one that travelled against its last direction
     num_tried: Number
-    ended: Bool[Array, ""]
 
 
 def find_directions(
@@ -92,9 +92,10 @@ def find_directions(
 ) -> Answer:
     """The answer in which no tendon travels against its direction, or else the answer with the fewest that do.
 
-    The first choice follows the moment of the tensions at the base. Then the directions that are contradicted are
-    reversed. The search ends where one tendon contradicts both of its directions and all others agree: part of
-    such a tendon usually sticks. Otherwise all choices are tried in turn; of more than 6 tendons the first 64.
+    This is Picard iteration for the directions: the first choice follows the moment of the tensions at the base, and
+    then those that are contradicted are reversed. It ends where one tendon contradicts both of its directions and all
+    others agree: part of such a tendon usually sticks. Where it goes round in circles, all choices are tried in turn;
+    of more than 6 tendons the first 64.
 
     Args:
         manipulator: its tendons.
@@ -105,28 +106,40 @@ def find_directions(
             equilibrium.
         blank: any answer of the right structure.
     """
-    which = jnp.asarray(to_find)
-    zero, one = jnp.zeros_like(stated[0]), jnp.ones_like(stated[0])
-    length = jnp.asarray(manipulator.length)
-    listed = min(2 ** len(to_find), tol.MOST_LISTED)
+    which, zero = jnp.asarray(to_find), jnp.zeros_like(stated[0])
 
-    def once(search: _DirectionSearch) -> _DirectionSearch:
-        answer, travel, found = attempt(search.direction)
-        against = jnp.where(is_contradicted(search.direction, travel, length)[which], one, zero)
-        count = jnp.where(found, jnp.sum(against), len(to_find) + one)
-        better = count < search.fewest
-        best = jax.tree.map(lambda new, old: jnp.where(better, new, old), answer, search.best)
-        num_tried = search.num_tried + 1.0
-        bits = ((num_tried - tol.NUM_FLIPS).astype(int) >> jnp.arange(len(to_find))) & 1
-        flipped = search.direction[which] * (one - 2 * against)
-        following = search.direction.at[which].set(jnp.where(num_tried < tol.NUM_FLIPS, flipped, one - 2 * bits))
-        # one tendon, whose direction was reversed just now, slides neither in nor out
-        sticks = (num_tried <= tol.NUM_FLIPS) & (count == 1) & jnp.all(against == search.against)
-        ended = found & ((count == 0) | sticks) | (num_tried >= tol.NUM_FLIPS + listed)
-        return _DirectionSearch(following, best, jnp.minimum(count, search.fewest), against, num_tried, ended)
+    def update(choice: _Choice) -> tuple[_Choice, Number]:
+        answer, travel, found = attempt(choice.direction)
+        contradicted = is_contradicted(choice.direction, travel, jnp.asarray(manipulator.length))
+        return _next_choice(choice, which, answer, jnp.where(contradicted[which], 1.0 + zero, zero), found)
 
-    arm = manipulator.arms(jnp.zeros_like(length))
+    first = _by_moment(manipulator, base_tension, stated, which)
+    start = _Choice(first, blank, zero + jnp.inf, 0 * first[which], zero)
+    most = tol.NUM_FLIPS + min(2 ** len(to_find), tol.MOST_LISTED)
+    return picard(update, start, 0.0, most)[0].best
+
+
+def _by_moment(manipulator: Manipulator, base_tension: PerTendon, stated: PerTendon, which: Array) -> PerTendon:
+    """The directions, of which those to be found follow the moment of the tensions at the base."""
+    arm = manipulator.arms(jnp.zeros_like(jnp.asarray(manipulator.length)))
     turned, least = arm @ (base_tension @ arm), jnp.sum(arm**2 * base_tension[:, None]) * tol.LEAST_TRAVEL
-    first = stated.at[which].set(jnp.where(turned < -least, -one, one)[which])
-    start = _DirectionSearch(first, blank, zero + jnp.inf, 0 * first[which], zero, zero > 0)
-    return jax.lax.while_loop(lambda search: ~search.ended, once, start).best
+    one = jnp.ones_like(stated[0])
+    return stated.at[which].set(jnp.where(turned < -least, -one, one)[which])
+
+
+def _next_choice(
+    choice: _Choice, which: Array, answer: PyTree, against: PerTendon, found: Bool[Array, ""]
+) -> tuple[_Choice, Number]:
+    """Keep the better answer and choose what to try next; and 1, or 0 where the search has ended."""
+    one = jnp.ones_like(choice.num_tried)
+    count, num_tried = jnp.where(found, jnp.sum(against), which.size + one), choice.num_tried + one
+    better = count < choice.fewest
+    best = jax.tree.map(lambda new, old: jnp.where(better, new, old), answer, choice.best)
+    bits = ((num_tried - tol.NUM_FLIPS).astype(int) >> jnp.arange(which.size)) & 1
+    flipped = choice.direction[which] * (one - 2 * against)
+    following = choice.direction.at[which].set(jnp.where(num_tried < tol.NUM_FLIPS, flipped, one - 2 * bits))
+    # one tendon, whose direction was reversed just now, slides neither in nor out
+    sticks = (num_tried <= tol.NUM_FLIPS) & (count == 1) & jnp.all(against == choice.against)
+    ended = found & ((count == 0) | sticks)
+    kept = _Choice(following, best, jnp.minimum(count, choice.fewest), against, num_tried)
+    return kept, jnp.where(ended, 0.0 * one, one)

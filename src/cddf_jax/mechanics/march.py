@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float
 from ..numerics import tolerances as tol
 from ..numerics.arrays import all_finite, computed_once, largest, largest_size, relative_size, zero_as
 from ..numerics.elements import Elements, totals
-from ..numerics.fixed_point import fixed_point, minus, round_off, without_derivative
+from ..numerics.fixed_point import fixed_point, minus, newton, round_off, without_derivative
 from ..numerics.rotations import about, direction_of, parts_of, product, sum_of, turned_across, turned_by
 from ..robot.cross_section import AnySection, spatial, where_present
 from . import space
@@ -218,11 +218,11 @@ def turn_at_joint(problem: Problem, joint: Joints, arriving: State, beyond: Stat
 
     before = pointing(joint.before, arriving, ratio)
 
-    def improve(_, guess):
+    def step(guess: tuple[PerTendon, PerTendon]) -> tuple[PerTendon, PerTendon]:
         turn = where_present(joint.after, geometry.turn_between(before, pointing(joint.after, beyond, guess[1])))
         return turn, ratio_beyond(problem.direction, joint.before, turn, ratio)
 
-    return jax.lax.fori_loop(0, tol.JOINT_STEPS, improve, (jnp.zeros_like(ratio), ratio + zero_as(before)))
+    return newton(step, (jnp.zeros_like(ratio), ratio + zero_as(before)), tol.JOINT_STEPS)
 
 
 # --- the method ------------------------------------------------------------------------------------

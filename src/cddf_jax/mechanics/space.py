@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..numerics import tolerances as tol
-from ..numerics.fixed_point import slope_along, solve_definite
+from ..numerics.fixed_point import newton, slope_along, solve_definite
 from ..numerics.rotations import Quaternion, Vector, cross, first_axis, in_fixed_frame, length_of
 from ..robot.cross_section import SpatialSection, where_present
 from .friction import PerTendon, tension_rate
@@ -117,11 +117,11 @@ def tension_rate_without_loads(
         turning = where_present(section, length_of(still + rate[:, None] * by_tension))
         return tension_rate(direction, section, turning, tension)
 
-    def newton_step(_, rate):
+    def step(rate: PerTendon) -> PerTendon:
         value, slope = jax.jvp(law, (rate,), (jnp.ones_like(rate),))
         return rate - (rate - value) / (1.0 - slope)
 
-    return jax.lax.fori_loop(0, tol.STRAIN_STEPS, newton_step, law(jnp.zeros_like(tension)))
+    return newton(step, law(jnp.zeros_like(tension)), tol.STRAIN_STEPS)
 
 
 def slip_rate_in_space(section: SpatialSection, strain: Strain, tension: PerTendon, compliance: PerTendon) -> PerTendon:
@@ -145,16 +145,15 @@ def _gradient(section: SpatialSection, tension: PerTendon, tangent: Vectors, loa
 def _strain_of_least_energy(
     section: SpatialSection, tension: PerTendon, loads: Wrench | None, start: Strain | None
 ) -> Strain:
-    def newton_step(_, strain):
+    def step(strain: Strain) -> Strain:
         pointing = _pointing(section, strain)
         stiffness = _tangent_stiffness(section, tension, *pointing)
         return strain - solve_definite(stiffness, _residual(section, tension, loads, strain, pointing[0]))
 
     if start is not None:
-        return newton_step(0, section.rest + start)
-    return jax.lax.fori_loop(
-        0, tol.STRAIN_STEPS, newton_step, section.rest + 0.0 * _gradient(section, tension, section.ahead, loads)
-    )
+        return step(section.rest + start)
+    at_rest = section.rest + 0.0 * _gradient(section, tension, section.ahead, loads)
+    return newton(step, at_rest, tol.STRAIN_STEPS)
 
 
 @_strain_of_least_energy.def_jvp

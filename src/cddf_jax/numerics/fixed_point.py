@@ -64,7 +64,7 @@ def fixed_point(
             tolerance.
     """
     start, off, frozen = without_derivative((start, off, update))
-    value, change, count = repeat(frozen, start, size, tolerance, max_iterations, off)
+    value, change, count = picard(_measured(frozen, size), start, tolerance, max_iterations, off)
     good = (change <= tolerance) & acceptable(value)
     value = jax.tree.map(lambda new, old: jnp.where(good, new, old), value, start)
     none = zero_as(value)[None][:0]
@@ -193,34 +193,57 @@ def solve_by_iteration(push: Callable[[Tree], Tree], pushed: Tree, max_iteration
 def by_iteration(again: Callable[[Tree], Tree], first: Tree, max_iterations: int) -> Tree:
     """The values that a linear update leaves as they are; NaN where its iteration does not settle."""
     settled = round_off(jax.tree.leaves(first)[0].dtype)
-    value, change, _ = repeat(again, first, relative_size, settled, max_iterations)
+    value, change, _ = picard(_measured(again, relative_size), first, settled, max_iterations)
     return jax.tree.map(lambda x: jnp.where(change <= 1e3 * settled, x, jnp.nan), value)
 
 
-def repeat(
-    update: Callable[[Tree], Tree],
+def picard(
+    update: Callable[[Tree], tuple[Tree, Scalar]],
     first: Tree,
-    size: Callable[[Tree, Tree], Scalar],
     tolerance: float,
     max_iterations: int,
     change: Scalar | float = jnp.inf,
 ) -> tuple[Tree, Scalar, Scalar]:
-    """The update again and again until it changes no more than the tolerance: values, last change, number of updates.
+    """Picard iteration: the update again and again, until it changes no more than the tolerance.
 
-    `change` is what is known of the change that the first update would make.
+    Args:
+        update: values -> better values, and how large their change is.
+        first: where it starts.
+        tolerance: the largest change at which it ends.
+        max_iterations: the largest number of updates.
+        change: what is known of the change that the first update would make.
+
+    Returns:
+        The values, the last change, and the number of updates.
     """
     zero = zero_as(first)
 
-    def unsettled(carry):
+    def unsettled(carry: tuple[Tree, Scalar, Scalar]) -> Bool[Array, ""]:
         _, change, count = carry
         return (change > tolerance) & (count < max_iterations)
 
-    def body(carry):
+    def body(carry: tuple[Tree, Scalar, Scalar]) -> tuple[Tree, Scalar, Scalar]:
         value, _, count = carry
-        new = update(value)
-        return new, size(minus(new, value), new), count + 1.0
+        return *update(value), count + 1.0
 
     return jax.lax.while_loop(unsettled, body, (first, zero + change, zero))
+
+
+def _measured(
+    update: Callable[[Tree], Tree], size: Callable[[Tree, Tree], Scalar]
+) -> Callable[[Tree], tuple[Tree, Scalar]]:
+    """The update with the size of its change, as `picard` takes it."""
+
+    def measured(value: Tree) -> tuple[Tree, Scalar]:
+        new = update(value)
+        return new, size(minus(new, value), new)
+
+    return measured
+
+
+def newton(step: Callable[[Tree], Tree], start: Tree, num_steps: int) -> Tree:
+    """A fixed number of steps of Newton's method or of another contraction, which derivatives pass in both modes."""
+    return jax.lax.fori_loop(0, num_steps, lambda _, value: step(value), start)
 
 
 def minus(a: Tree, b: Tree) -> Tree:

@@ -30,6 +30,7 @@ from ..mechanics.problem import (
 from ..mechanics.tendon_displacement import tendon_displacement
 from ..numerics import tolerances as tol
 from ..numerics.arrays import largest_size, relative_size, varying_as, zero_as
+from ..numerics.fixed_point import picard
 
 Tree = TypeVar("Tree")
 Flag = Bool[Array, ""]
@@ -71,7 +72,7 @@ class Polished(NamedTuple):
     settled: Flag
     lost: Flag
     change: Number
-    num_iterations: Number
+    num_iterations: Number | None = None  # None during the iteration
 
 
 class LoadedBody(NamedTuple):
@@ -182,36 +183,25 @@ class LoadedBody(NamedTuple):
             return self.problem.elements.refined(x, finer.problem.elements)
 
         nodal_slopes = jax.tree.map(jax.vmap(onto), end.slopes.nodal)
-        one, zero = jnp.ones_like(end.change), 0.0 * end.change
-        strain = None if end.strain is None else onto(end.strain)
-        start = Polished(
-            end.values.moment, jax.tree.map(onto, end.values.nodal), strain, zero > 0, zero > 0, zero, zero
-        )
+        values, strain = jax.tree.map(onto, (end.values.nodal, end.strain))
+        zero = 0.0 * end.change
 
-        def improve(last: Polished) -> Polished:
-            here = finer.at(last.moment, fraction, one)
+        def chord(last: Polished) -> tuple[Polished, Number]:
+            here = finer.at(last.moment, fraction, 1.0 + zero)
             solution = finer.method.improve(here, last.nodal, last.strain, last.change)
             residual = moment_left_at_tip(here, solution)
             step, off = _newton_step(self.problem, last.moment, residual, end.slopes.heading, end.residual_slopes)
-            moved = jax.tree.map(
-                lambda x, slope: x + along_moment(slope, step), nodal(here, solution.nodes), nodal_slopes
-            )
+            better = nodal(here, solution.nodes)
+            moved = jax.tree.map(lambda x, slope: x + along_moment(slope, step), better, nodal_slopes)
             change = jnp.maximum(solution.residual, off)
             settled = solution.converged & (off * off <= _round_off(off) * jnp.maximum(last.change, off))
-            return Polished(
-                last.moment + step,
-                moved,
-                solution.nodes.strain,
-                settled,
-                solution.locked | ~jnp.isfinite(change),
-                change,
-                last.num_iterations + 1.0,
-            )
+            lost = solution.locked | ~jnp.isfinite(change)
+            found = Polished(last.moment + step, moved, solution.nodes.strain, settled, lost, change)
+            return found, jnp.where(settled | lost, zero, 1.0)
 
-        def unfinished(last: Polished) -> Flag:
-            return ~(last.settled | last.lost) & (last.num_iterations < finer.method.max_iterations)
-
-        return jax.lax.while_loop(unfinished, improve, start)
+        start = Polished(end.values.moment, values, strain, zero > 0, zero > 0, zero)
+        found, _, count = picard(chord, start, 0.0, finer.method.max_iterations)
+        return found._replace(num_iterations=count)
 
     def is_stable(self, iterate: Iterate) -> Flag:
         """Whether the smallest eigenvalue of the tangent is positive: no conjugate point along the body."""
