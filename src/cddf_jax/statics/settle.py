@@ -102,7 +102,7 @@ def _loaded(setup: Setup, base_tension: PerTendon) -> Settled:
     path, end = follow_loads(rough, start.num_iterations)
     state = state_at_nodes(rough.problem, end.values.nodal, end.strain)
     travel = travel_under_tension(rough.problem, state.pull, rough.travel_rate(end, path.fraction))
-    found = rough.refine(end, body, path.fraction)
+    found, num_iterations = rough.refine(end, body, path.fraction)
     path = path._replace(
         base_moment=jnp.where(path.converged, found.moment, path.base_moment),
         converged=path.converged & found.settled,
@@ -114,7 +114,7 @@ def _loaded(setup: Setup, base_tension: PerTendon) -> Settled:
         travel=travel,
         values=found.nodal,
         strain=found.strain,
-        num_iterations=found.num_iterations,
+        num_iterations=num_iterations,
         locked=end.locked | (found.lost & found.settled),
         error_amplification=rough.error_amplification(end),
     )

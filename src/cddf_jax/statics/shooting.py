@@ -72,7 +72,6 @@ class Polished(NamedTuple):
     settled: Flag
     lost: Flag
     change: Number
-    num_iterations: Number | None = None  # None during the iteration
 
 
 class LoadedBody(NamedTuple):
@@ -170,13 +169,16 @@ class LoadedBody(NamedTuple):
             steady &= relative_size(turns - last, turns) <= tol.STEADY
         return (off <= enough) & steady
 
-    def refine(self, end: Iterate, finer: "LoadedBody", fraction: Number) -> "Polished":
+    def refine(self, end: Iterate, finer: "LoadedBody", fraction: Number) -> tuple["Polished", Number]:
         """The equilibrium of the same body without roughness, by the chord method: with the slopes of `end`.
 
         Args:
             end: an equilibrium of this body.
             finer: the body with its kinks.
             fraction: of the loads.
+
+        Returns:
+            The equilibrium, and the number of iterations.
         """
 
         def onto(x: Array) -> Array:
@@ -201,7 +203,7 @@ class LoadedBody(NamedTuple):
 
         start = Polished(end.values.moment, values, strain, zero > 0, zero > 0, zero)
         found, _, count = picard(chord, start, 0.0, finer.method.max_iterations)
-        return found._replace(num_iterations=count)
+        return found, count
 
     def is_stable(self, iterate: Iterate) -> Flag:
         """Whether the smallest eigenvalue of the tangent is positive: no conjugate point along the body."""
