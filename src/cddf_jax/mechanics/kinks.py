@@ -132,7 +132,7 @@ def _where_turning_over(growth: Float[Array, "p tendons"]) -> tuple[Array, Array
     Beyond that place, r' is |g| on one branch and -|g| on the other, so that r differs by 2 |integral of g from there|.
     """
     places, left = first_root(growth), growth < 0
-    differs = 2.0 * jnp.abs(totals(jnp.ones_like(places[0]), growth)[0] - total_to_root(growth))
+    differs = 2.0 * jnp.abs(totals(jnp.ones_like(places[0]), growth)[0] - total_to_root(growth, places))
     early, last = (jnp.where(side, -1.0, 1.0) for side in (left[0], left[-1]))
     once = (jnp.sum(left[1:] != left[:-1], axis=0) == 1) & (early * last < 0)
     over = places < 1

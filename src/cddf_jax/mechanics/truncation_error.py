@@ -46,14 +46,17 @@ def truncation_error(problem: Problem, solution: Solution, method: Method) -> Nu
 def _gains(problem: Problem, solution: Solution) -> Float[Array, "P values"]:
     """The gains over the elements of all that is integrated, each over its scale."""
 
+    tip = solution.tip
+    scale = spent_scale(problem, tip.pull)
+
     def scaled(state: State) -> Float[Array, " values"]:
-        ratio, scale = state.ratio / solution.tip.ratio, spent_scale(problem, solution.tip.pull)
+        ratio = state.ratio / tip.ratio
         spent = [] if scale is None or state.pull.spent is None else [state.pull.spent / scale]
         turned = (2.0 if problem.geometry.has_frames else 1.0) * state.heading  # half an angle stands in a quaternion
         parts = ratio, *spent, turned, state.position / problem.elements.edges[-1], state.moment / problem.moment_scale
         return jnp.concatenate([jnp.atleast_1d(part) for part in parts])
 
-    starts, tip = jax.vmap(scaled)(solution.starts), scaled(solution.tip)
+    starts, tip = jax.vmap(scaled)(solution.starts), scaled(tip)
     return jnp.diff(jnp.concatenate([starts, tip[None]]), axis=0)
 
 

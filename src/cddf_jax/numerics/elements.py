@@ -93,7 +93,7 @@ def times(matrix: np.ndarray, values: Float[Array, "p *k"]) -> Float[Array, "...
 # --- one element --------------------------------------------------------------------------------
 
 Totals = tuple[Float[Array, "p *k"], Float[Array, "*k"]]  # from the start of an element to its nodes, and to its end
-Quartic = Float[Array, "5 q *k"]  # coefficients over sub-intervals of width 1
+Quartic = tuple[Array, ...]  # its five coefficients over sub-intervals of width 1, each (q, *k)
 
 
 def totals(width: Float[Array, ""], rate: Float[Array, "p *k"]) -> Totals:
@@ -128,11 +128,11 @@ def _(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
 def _gains_by_sign(rate: Float[Array, "p *k"], values: Float[Array, "p *k"]) -> Float[Array, "q *k"]:
     """The integral of values times the sign of a rate, which is 1 where the rate is 0."""
     rule = gauss_rule(rate.shape[0])
-    curve = times(rule.quartics, rate)
+    curve = _quartics(rate)
     crosses, root = _roots(curve)
     gain = gains(values)
-    before = _along(rule.step, gain) * _integral(times(rule.quartics, values), root)
-    left = (curve[0] < 0) | (~crosses & (jnp.sum(curve, axis=0) < 0))
+    before = _along(rule.step, gain) * _integral(_quartics(values), root)
+    left = (curve[0] < 0) | (~crosses & (sum(curve) < 0))
     signed = jnp.where(crosses, 2 * before - gain, gain)
     return jnp.where(left, -signed, signed)
 
@@ -141,16 +141,24 @@ def _along(numbers: np.ndarray, like: Float[Array, "q *k"]) -> Float[Array, "q *
     return jnp.asarray(numbers.reshape(-1, *[1] * (like.ndim - 1)), like.dtype)
 
 
+def _quartics(values: Float[Array, "p *k"]) -> Quartic:
+    """The quartics over the sub-intervals of the polynomial through the nodes."""
+    return tuple(times(gauss_rule(values.shape[0]).quartics, values))
+
+
 def _value(curve: Quartic, t: Array) -> Array:
-    return curve[0] + t * (curve[1] + t * (curve[2] + t * (curve[3] + t * curve[4])))
+    a, b, c, d, e = curve
+    return a + t * (b + t * (c + t * (d + t * e)))
 
 
 def _rate(curve: Quartic, t: Array) -> Array:
-    return curve[1] + t * (2 * curve[2] + t * (3 * curve[3] + 4 * t * curve[4]))
+    _, b, c, d, e = curve
+    return b + t * (2 * c + t * (3 * d + 4 * t * e))
 
 
 def _integral(curve: Quartic, t: Array) -> Array:
-    return t * (curve[0] + t * (curve[1] / 2 + t * (curve[2] / 3 + t * (curve[3] / 4 + t * curve[4] / 5))))
+    a, b, c, d, e = curve
+    return t * (a + t * (b / 2 + t * (c / 3 + t * (d / 4 + t * e / 5))))
 
 
 def _roots(curve: Quartic) -> tuple[Bool[Array, "q *k"], Float[Array, "q *k"]]:
@@ -158,7 +166,7 @@ def _roots(curve: Quartic) -> tuple[Bool[Array, "q *k"], Float[Array, "q *k"]]:
 
     The last step gives it derivatives of any order.
     """
-    end = jnp.sum(curve, axis=0)
+    end = sum(curve)
     crosses = curve[0] * end < 0
     change = jnp.where(crosses, end - curve[0], 1.0)
 
@@ -167,14 +175,14 @@ def _roots(curve: Quartic) -> tuple[Bool[Array, "q *k"], Float[Array, "q *k"]]:
         return jnp.clip(root - _value(curve, root) / jnp.where(rise == 0, change, rise), 0.0, 1.0)
 
     start = jax.lax.stop_gradient(-curve[0] / change)
-    return crosses, newton(curve, newton(jax.lax.stop_gradient(curve), start))
+    return crosses, newton(curve, newton(tuple(map(jax.lax.stop_gradient, curve)), start))
 
 
 @jax.custom_jvp
 def first_root(values: Float[Array, "p *k"]) -> Float[Array, "*k"]:
     """The first place in [0, 1] where functions change their sign; 1 where they do not. Derivatives of any order."""
     rule = gauss_rule(values.shape[0])
-    crosses, root = _roots(times(rule.quartics, values))
+    crosses, root = _roots(_quartics(values))
     count = times(np.tril(np.ones((len(crosses), len(crosses)))), crosses.astype(values.dtype))
     first = crosses & (count < 1.5)
     place = _along(rule.points[:-1], root) + _along(rule.step, root) * root
@@ -186,7 +194,7 @@ def _(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
     (values,), (change,) = primals, tangents
     place = first_root(values)
     rule, inside, t = _around(values, place)
-    height, rise = (_value(times(rule.quartics, change), t), _rate(times(rule.quartics, values), t))
+    height, rise = _value(_quartics(change), t), _rate(_quartics(values), t)
     moved = -_along(rule.step, rise) * height / jnp.where(rise == 0, 1.0, rise)
     return place, jnp.where(place < 1, jnp.sum(jnp.where(inside, moved, 0.0), axis=0), 0.0)
 
@@ -194,29 +202,26 @@ def _(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
 def _around(values: Float[Array, "p *k"], place: Float[Array, "*k"]) -> tuple[Rule, Array, Array]:
     """The rule, and for each sub-interval whether it holds the place, and where in it the place is, from 0 to 1."""
     rule = gauss_rule(values.shape[0])
-    shape = -1, *[1] * (values.ndim - 1)
-    starts, step = (jnp.asarray(x.reshape(shape), values.dtype) for x in (rule.points[:-1], rule.step))
-    t = (place - starts) / step
+    t = (place - _along(rule.points[:-1], values)) / _along(rule.step, values)
     return rule, (t > 0) & (t <= 1), t
 
 
 def total_to(values: Float[Array, "p *k"], place: Float[Array, "*k"]) -> Float[Array, "*k"]:
     """The integral from the start of an element of width 1 to a place in [0, 1]."""
     rule, _, t = _around(values, place)
-    parts = _integral(times(rule.quartics, values), jnp.clip(t, 0.0, 1.0))
-    parts = parts * jnp.asarray(rule.step.reshape(-1, *[1] * (values.ndim - 1)), values.dtype)
+    parts = _along(rule.step, t) * _integral(_quartics(values), jnp.clip(t, 0.0, 1.0))
     return jnp.sum(jnp.where(t >= 1, gains(values), parts), axis=0)
 
 
 @jax.custom_jvp
-def total_to_root(values: Float[Array, "p *k"]) -> Float[Array, "*k"]:
-    """The integral from the start of an element of width 1 to the first root. The root moves, but there it is zero."""
-    return total_to(values, first_root(values))
+def total_to_root(values: Float[Array, "p *k"], root: Float[Array, "*k"]) -> Float[Array, "*k"]:
+    """The integral from the start of an element of width 1 to a root, which moves; but there the values are zero."""
+    return total_to(values, root)
 
 
 @total_to_root.defjvp
-def _(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
-    return total_to_root(*primals), total_to(*tangents, first_root(*primals))
+def _(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> tuple[Array, Array]:
+    return total_to_root(*primals), total_to(tangents[0], primals[1])
 
 
 def switched(
@@ -234,12 +239,12 @@ def switched(
         places: in [0, 1] of the element, in increasing order.
     """
     rule, found = gauss_rule(branches.shape[1]), jax.vmap(gains)(branches)
-    curves = jax.vmap(lambda rate: times(rule.quartics, rate))(branches)
+    curves = jax.vmap(_quartics)(branches)
     starts, step = (jnp.asarray(x, places.dtype) for x in (rule.points[:-1], rule.step))
     cuts = jnp.clip((places[:, None] - starts) / step, 0.0, 1.0)
     whole = jnp.ones_like(cuts[:1])
     first, last = jnp.concatenate([0 * whole, cuts]), jnp.concatenate([cuts, whole])
-    wide = first.shape + (1,) * (curves.ndim - 3)  # the rates may be vectors
+    wide = first.shape + (1,) * (branches.ndim - 2)  # the rates may be vectors
     parts = jax.vmap(lambda curve, a, b: size(_integral(curve, b) - _integral(curve, a)))
     divided = _along(rule.step, found[0]) * parts(curves, first.reshape(wide), last.reshape(wide))
     undivided = ((first <= 0) & (last >= 1)).reshape(first.shape + (1,) * (found.ndim - 2))
@@ -254,10 +259,10 @@ def gains_of_length(rate: Float[Array, "p *k n"]) -> Float[Array, "q *k"]:
     rule = gauss_rule(rate.shape[0])
     weights = jnp.asarray(legendre.leggauss(POINTS_BETWEEN)[1] / 2, rate.dtype)
     inner = jnp.tensordot(length_of(times(rule.inner, rate)), weights, ((1,), (0,)))
-    return _along(rule.step, inner) * (inner + _missed(times(rule.quartics, rate)))
+    return _along(rule.step, inner) * (inner + _missed(_quartics(rate)))
 
 
-def _missed(curve: Float[Array, "5 q *k n"]) -> Float[Array, "q *k"]:
+def _missed(curve: Quartic) -> Float[Array, "q *k"]:
     """The integral of the length of a quartic over [0, 1] less that by Gauss points.
 
     Near its minimum z, the length is about the root of alpha^2 + beta^2 (t - z)^2, whose integral has a closed form.
@@ -276,19 +281,18 @@ def _missed(curve: Float[Array, "5 q *k n"]) -> Float[Array, "q *k"]:
     found = _kernel(alpha, beta, 1.0 - z) + _kernel(alpha, beta, z)
     for node, weight in zip(nodes, weights, strict=True):
         found = found + weight * (cut * rest(cut * node) + (1 - cut) * rest(cut + (1 - cut) * node))
-        found = found - weight * length_of(_value(curve, jnp.asarray(node, curve.dtype)))
+        found = found - weight * length_of(_value(curve, jnp.asarray(node, z.dtype)))
     return found
 
 
-def _nearest(curve: Float[Array, "5 q *k n"]) -> Float[Array, "q *k"]:
+def _nearest(curve: Quartic) -> Float[Array, "q *k"]:
     """Where a quartic is nearest to zero: on its chord, and after one step of Newton's method; without derivatives."""
 
     def nearer(t: Array, value: Array, rate: Array) -> Array:
         speed = jnp.sum(rate**2, axis=-1)
         return jnp.clip(t - jnp.sum(value * rate, axis=-1) / jnp.where(speed > 0, speed, 1.0), -0.5, 1.5)
 
-    start = jnp.zeros(curve.shape[1:-1], curve.dtype)
-    z = nearer(start, curve[0], jnp.sum(curve[1:], axis=0))
+    z = nearer(jnp.zeros_like(curve[0][..., 0]), curve[0], sum(curve[1:]))
     return jax.lax.stop_gradient(nearer(z, _value(curve, z[..., None]), _rate(curve, z[..., None])))
 
 

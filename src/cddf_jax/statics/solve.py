@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..errors import InputError, SolveError
 from ..mechanics.directions import Directions, is_contradicted, not_stated
 from ..mechanics.fields import AnyFields, fields_at, planar_fields, tendons_first
-from ..mechanics.friction import unspent
+from ..mechanics.friction import Pull, unspent
 from ..mechanics.march import FixedPoint
 from ..mechanics.problem import Method, Problem, Solution, all_points, line_up
 from ..mechanics.tendon_displacement import tendon_displacement
@@ -183,19 +183,19 @@ def _solve(
 def _outputs(balance: Balance, found: Found, physical: Bool[Array, ""], method: Method) -> Equilibrium:
     """What `solve` returns."""
     problem, solution, path = balance.problem, balance.solution, balance.load_path
+    tip = solution.tip
     solved = physical & path.converged
     truncation = balance.error_amplification * truncation_error(*without_derivative((problem, solution)), method)
     round_off = 4 * float(jnp.finfo(truncation.dtype).eps)
     contradicted = solved & is_contradicted(problem.direction, balance.travel, problem.elements.edges[-1])
     dense = _dense(problem, solution, solved)
-    at_tip = unspent(problem.base_tension, solution.tip.pull) / solution.tip.ratio
     return Equilibrium(
         along=nan_unless(solved, _along(problem, solution, dense)),
-        tip_position=nan_unless(solved, solution.tip.position),
-        tip_angle=nan_unless(solved, problem.geometry.tip_angle(solution.tip.heading)),
-        tip_frame=nan_unless(solved, problem.geometry.tip_frame(solution.tip.heading)),
-        tip_tension=nan_unless(solved, at_tip),
-        tension_loss=nan_unless(solved, 1.0 - _fraction_left(problem, solution) / solution.tip.ratio),
+        tip_position=nan_unless(solved, tip.position),
+        tip_angle=nan_unless(solved, problem.geometry.tip_angle(tip.heading)),
+        tip_frame=nan_unless(solved, problem.geometry.tip_frame(tip.heading)),
+        tip_tension=nan_unless(solved, unspent(problem.base_tension, tip.pull) / tip.ratio),
+        tension_loss=nan_unless(solved, 1.0 - _fraction_left(problem, tip.pull) / tip.ratio),
         tendon_displacement=nan_unless(solved, tendon_displacement(problem, solution.nodes)),
         base_tension=nan_unless(solved, problem.base_tension),
         target_miss=nan_unless(solved, found.miss),
@@ -238,13 +238,12 @@ def _dense(problem: Problem, solution: Solution, solved: Bool[Array, ""]) -> Den
     return Dense(problem.manipulator, *tensions, cut.edges, cut.order, *states, solved)
 
 
-def _fraction_left(problem: Problem, solution: Solution) -> PerTendon | float:
+def _fraction_left(problem: Problem, tip: Pull) -> PerTendon | float:
     """The part of the base tension that drag leaves, as a fraction; 1 where there is no base tension."""
     if problem.nodes.drag is None:
         return 1.0
     pulled = problem.base_tension > 0
-    left = unspent(problem.base_tension, solution.tip.pull)
-    return jnp.where(pulled, left / jnp.where(pulled, problem.base_tension, 1.0), 1.0)
+    return jnp.where(pulled, unspent(problem.base_tension, tip) / jnp.where(pulled, problem.base_tension, 1.0), 1.0)
 
 
 def _equilibrium(setup: Setup, given: PerTendon, targets: Targets) -> tuple[Balance, Found]:
