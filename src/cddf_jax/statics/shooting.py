@@ -29,7 +29,7 @@ from ..mechanics.problem import (
 )
 from ..mechanics.tendon_displacement import tendon_displacement
 from ..numerics import tolerances as tol
-from ..numerics.arrays import largest_size, relative_size, varying_as, zero_as
+from ..numerics.arrays import computed_once, decided, largest_size, relative_size, varying_as, zero_as
 from ..numerics.fixed_point import picard
 
 Tree = TypeVar("Tree")
@@ -113,10 +113,10 @@ class LoadedBody(NamedTuple):
         inaccurate = (solution.residual > magnitude(residual)) & ~solution.converged
         step = jnp.where(inaccurate, 0.0, newton)
         moved = jax.tree.map(lambda x, slope: x + along_moment(slope, step), found, slopes)
-        sane = jnp.isfinite(magnitude(newton)) & jnp.isfinite(solution.residual) & ~solution.locked
+        sane = decided(jnp.isfinite(magnitude(newton)) & jnp.isfinite(solution.residual) & ~solution.locked)
         changed = relative_size(residual_slopes - before.residual_slopes, residual_slopes)
         exact = jnp.maximum(off, changed) <= 2 * _round_off(off) ** 0.5
-        settled = sane & solution.converged & exact
+        settled = decided(sane & solution.converged & exact)
         rough = jnp.maximum(off, solution.residual), jnp.where(fraction == 0, tol.ROUGH_AT_START, tol.ROUGH)
         near = sane & self._is_near(before, slopes, residual_slopes, *rough)
         return Iterate(
@@ -124,10 +124,10 @@ class LoadedBody(NamedTuple):
             slopes=slopes,
             residual_slopes=residual_slopes,
             strain=solution.nodes.strain,
-            near=settled | near,
+            near=decided(settled | near),
             settled=settled,
             locked=solution.locked,
-            lost=~sane | (before.num_iterations + 1 >= self.method.max_iterations),
+            lost=decided(~sane | (before.num_iterations + 1 >= self.method.max_iterations)),
             sane=jnp.where(before.num_iterations == 0, sane, before.sane),
             num_iterations=before.num_iterations + 1.0,
             change=solution.residual,
@@ -197,7 +197,7 @@ class LoadedBody(NamedTuple):
             moved = jax.tree.map(lambda x, slope: x + along_moment(slope, step), better, nodal_slopes)
             change = jnp.maximum(solution.residual, off)
             settled = solution.converged & (off * off <= _round_off(off) * jnp.maximum(last.change, off))
-            lost = solution.locked | ~jnp.isfinite(change)
+            settled, lost = decided(settled), decided(solution.locked | ~jnp.isfinite(change))
             found = Polished(last.moment + step, moved, solution.nodes.strain, settled, lost, change)
             return found, jnp.where(settled | lost, zero, 1.0)
 
@@ -208,7 +208,7 @@ class LoadedBody(NamedTuple):
     def is_stable(self, iterate: Iterate) -> Flag:
         """Whether the smallest eigenvalue of the tangent is positive: no conjugate point along the body."""
         slopes, by = iterate.slopes.heading[:-1], iterate.residual_slopes[:-1]
-        return self.problem.geometry.is_stable(slopes, iterate.values.heading, by)
+        return decided(self.problem.geometry.is_stable(slopes, iterate.values.heading, by))
 
     def error_amplification(self, iterate: Iterate) -> Number:
         """The factor by which local errors along the body grow in the equilibrium.
@@ -225,7 +225,7 @@ class LoadedBody(NamedTuple):
         """The derivative of M_ext(0) with respect to the loads or the tensions at which M_ext(L) stays m."""
         last = residual_slopes[-1]
         follows = -self.problem.geometry.moment_for(residual_slopes[:-1], last)
-        return jnp.where(magnitude(last) == 0, 0.0, follows)
+        return computed_once(jnp.where(magnitude(last) == 0, 0.0, follows))
 
     def travel_rate(self, iterate: Iterate, fraction: Number) -> PerTendon:
         """The rate, m, at which tendons slide in while all base tensions rise in proportion."""
@@ -271,7 +271,7 @@ def _newton_step(
 ) -> tuple[Moment, Number]:
     """The Newton step of M_ext(0), and the largest angle by which it turns the body, rad."""
     exact = magnitude(residual) <= _round_off(residual)  # also where its slope vanishes
-    step = jnp.where(exact, 0.0, -problem.geometry.moment_for(slopes[:-1], residual))
+    step = computed_once(jnp.where(exact, 0.0, -problem.geometry.moment_for(slopes[:-1], residual)))
     size, length = 1 + magnitude(moment), magnitude(step)
     angle = length * jnp.maximum(1 / size, largest_size(turned[:-1]))
-    return step, jnp.where(length <= _round_off(step) * size, 0.0, angle)  # less than rounding
+    return step, computed_once(jnp.where(length <= _round_off(step) * size, 0.0, angle))  # less than rounding
