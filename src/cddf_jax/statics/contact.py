@@ -16,7 +16,6 @@ STATIONS = 401
 # if headings differ by less, cross-sections pi R apart along the axis are pi R cos(pi/4) > 2 R apart in space
 TURNS = np.pi / 2
 PROJECTIONS, NEAR = 60, 1e-4  # of points on two cylinders; distance over the sum of radii that counts as touching
-FLAT = 1e-9  # of the length: a smaller overlap counts as touching
 
 
 class Contact(NamedTuple):
@@ -30,10 +29,9 @@ class Contact(NamedTuple):
 def self_contact(equilibrium: Equilibrium) -> Contact | None:
     """Where the wall of a bent body touches or overlaps another part of itself; None where it does not.
 
-    A body in the plane is the strip u(s) +- R_outer(s) n(s). It is cut into quadrilaterals at 401 arc lengths and at
-    its joints. Two of them touch if they share a point and are farther apart along the body than pi times the larger
-    of their radii. Nearer ones share a point only where the bend is sharper than the radius, R kappa > 1.
-    A body in space is a row of cylinders between the same arc lengths.
+    The body is a row of cylinders between 401 arc lengths and its joints, in the plane a row of rectangles. Two of them
+    touch if they share a point and are farther apart along the body than pi times the larger of their radii. Nearer
+    ones share a point only where the bend is sharper than the radius, R kappa > 1.
     A tube bent to a full circle, 2 pi, touches itself with its ends. If several pairs touch, the result is the pair
     with the smallest distance of the neutral axis over the sum of the radii. Clamp, tendons and disks are not
     considered.
@@ -53,13 +51,7 @@ def self_contact(equilibrium: Equilibrium) -> Contact | None:
     along = jax.tree.map(np.asarray, _centre_line(equilibrium._dense, s))
     radius = np.asarray(body.radii(s)[0])
     i, j = _far_pairs(s, along.position, radius)
-    if equilibrium.in_space:
-        touching = _cylinders_touch(along.position, radius, i, j)
-    else:
-        normal = np.stack([-np.sin(along.heading), np.cos(along.heading)], axis=-1)
-        upper, lower = (along.position + sign * radius[:, None] * normal for sign in (+1, -1))
-        parts = np.stack([lower[:-1], lower[1:], upper[1:], upper[:-1]], axis=1)
-        touching = _share_a_point(parts[i], parts[j], FLAT * s[-1])
+    touching = _cylinders_touch(along.position, radius, i, j)
     if not np.any(touching):
         return None
     i, j = i[touching], j[touching]
@@ -101,7 +93,7 @@ def _cylinders_touch(position: np.ndarray, radius: np.ndarray, i: np.ndarray, j:
     """Whether pieces i and j of a tube share a point; alternating projections find their nearest points.
 
     Args:
-        position: of the axis (stations, 3), m.
+        position: of the axis (stations, components), m.
         radius: of the tube (stations,), m.
         i, j: pairs of pieces; piece k lies between stations k and k + 1.
     """
@@ -123,16 +115,3 @@ def _cylinders_touch(position: np.ndarray, radius: np.ndarray, i: np.ndarray, j:
         one = onto(i, other)
         other = onto(j, one)
     return np.linalg.norm(one - other, axis=-1) <= NEAR * (wide[i] + wide[j])
-
-
-def _share_a_point(one: np.ndarray, other: np.ndarray, flat: float) -> np.ndarray:
-    """Whether convex quadrilaterals, (pairs, 4, 2), overlap: no line along any of their sides separates them."""
-    together = np.ones(len(one), bool)
-    for shape in (one, other):
-        for k in range(4):
-            x, y = np.moveaxis(shape[:, (k + 1) % 4] - shape[:, k], -1, 0)
-            across = np.stack([-y, x], axis=-1) / np.maximum(np.hypot(x, y), np.finfo(float).tiny)[:, None]
-            a, b = (np.einsum("ij,ikj->ik", across, corners) for corners in (one, other))
-            gap = np.maximum(a.min(axis=1) - b.max(axis=1), b.min(axis=1) - a.max(axis=1))
-            together &= gap <= flat
-    return together
