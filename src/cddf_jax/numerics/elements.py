@@ -52,33 +52,39 @@ class Rule(NamedTuple):
 def gauss_rule(order: int) -> Rule:
     """The rule with `order` nodes, exact for polynomials of degree 2 order - 1."""
     roots, weights = legendre.leggauss(order)
-    values = legendre.legvander(roots, order - 1)
-    series = values.T * weights * (np.arange(order)[:, None] + 0.5)  # values at the nodes -> Legendre coefficients
+    # values at the nodes -> Legendre coefficients
+    series = legendre.legvander(roots, order - 1).T * weights * (np.arange(order)[:, None] + 0.5)
     identity, points = np.eye(order), np.concatenate([[-1.0], roots, [1.0]])
     barycentric = 1.0 / np.prod(np.where(identity > 0, 1.0, roots[:, None] - roots), axis=1)
     integrals = np.stack([legendre.legval(points[1:], legendre.legint(row, lbnd=-1)) for row in identity], axis=1)
     slopes = np.stack([legendre.legval(points, legendre.legder(row)) for row in identity], axis=1) @ series
-    step, ends = np.diff(points)[:, None] / 2, legendre.legvander(points, order - 1) @ series
-    start, first, last, rise = ends[:-1], 2 * step * slopes[:-1], 2 * step * slopes[1:], np.diff(ends, axis=0)
-    gains = np.diff(integrals @ series / 2, axis=0, prepend=0.0)
-    cubic = np.stack([start, first, 3 * rise - 2 * first - last, first + last - 2 * rise, 0 * rise])
-    missing = 30 * (gains / step - np.tensordot(1 / np.arange(1.0, 6.0), cubic, 1))  # of t^2 (1 - t)^2
+    step, values = np.diff(points)[:, None] / 2, legendre.legvander(points, order - 1) @ series
+    totals = integrals @ series / 2
+    gains = np.diff(totals, axis=0, prepend=0.0)
     between = points[:-1, None] + step * (legendre.leggauss(POINTS_BETWEEN)[0] + 1)
     return Rule(
         nodes=(roots + 1) / 2,
         weights=weights / 2,
-        totals=integrals @ series / 2,
+        totals=totals,
         differentiation=2 * slopes[1:-1],
         series=series,
         interpolation=np.linalg.inv(legendre.legvander(points, order + 1)),
-        ends=ends[[0, -1]],
+        ends=values[[0, -1]],
         barycentric=barycentric / np.max(np.abs(barycentric)),
         points=(points + 1) / 2,
         step=step[:, 0],
-        quartics=cubic + np.multiply.outer([0.0, 0.0, 1.0, -2.0, 1.0], missing),
+        quartics=_quartics_between(values, 2 * step * slopes[:-1], 2 * step * slopes[1:], gains / step),
         gains=gains,
         inner=legendre.legvander(between, order - 1) @ series,
     )
+
+
+def _quartics_between(values: np.ndarray, first: np.ndarray, last: np.ndarray, mean: np.ndarray) -> np.ndarray:
+    """The quartics with given values and slopes at both ends of sub-intervals of width 1, and given means."""
+    rise = np.diff(values, axis=0)
+    cubic = np.stack([values[:-1], first, 3 * rise - 2 * first - last, first + last - 2 * rise, 0 * rise])
+    missing = 30 * (mean - np.tensordot(1 / np.arange(1.0, 6.0), cubic, 1))  # of t^2 (1 - t)^2
+    return cubic + np.multiply.outer([0.0, 0.0, 1.0, -2.0, 1.0], missing)
 
 
 def times(matrix: np.ndarray, values: Float[Array, "p *k"]) -> Float[Array, "..."]:

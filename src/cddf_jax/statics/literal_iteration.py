@@ -1,6 +1,7 @@
 """The algorithm of Liu et al. (2020), section III, as published: as a method of `solve`, and step by step."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import ClassVar
 
 import equinox as eqx
@@ -11,7 +12,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from ..mechanics import bending
 from ..mechanics.directions import Directions, not_stated
-from ..mechanics.friction import Pull
+from ..mechanics.friction import PerTendon, Pull
 from ..mechanics.geometry import axis_of
 from ..mechanics.problem import (
     Nodal,
@@ -20,12 +21,13 @@ from ..mechanics.problem import (
     Solution,
     State,
     lay_out,
+    line_up,
     starts_of_newton,
     strain_along,
     tension_of,
 )
 from ..numerics.elements import Elements
-from ..numerics.fixed_point import fixed_point, without_derivative
+from ..numerics.fixed_point import FixedPointResult, fixed_point, without_derivative
 from ..robot.cross_section import planar, where_present
 from ..robot.manipulator import Manipulator
 from .arguments import check_nodes, one_precision, per_tendon
@@ -53,31 +55,14 @@ class LiteralIteration(eqx.Module):
         if problem.loads is not None:
             raise ValueError("LiteralIteration is the paper's algorithm and has no loads; use FixedPoint")
         _refuse_drag(problem.manipulator)
-        cut = problem.elements
-
         answer = fixed_point(
             Partial(literal_update, problem),
             frictionless_curvature(problem),
             tolerance=self.tip_tolerance,
             max_iterations=self.max_updates,
-            size=Partial(_tip_motion, without_derivative(cut)),
+            size=Partial(_tip_motion, without_derivative(problem.elements)),
         )
-        gain = problem.direction * problem.manipulator.tendon_friction
-        wrap_edges, wrap = literal_wrap_angle(problem, answer.value)
-        (heading_edges, heading), (position_edges, position) = integrate_shape(cut, answer.value)
-        none = jnp.zeros_like(cut.edges), jnp.zeros_like(position_edges)
-        edges = State(Pull(jnp.exp(gain * wrap_edges)), heading_edges, *none, None, wrap_edges, position_edges)
-        at_starts, at_nodes, at_ends = starts_of_newton(problem, answer.value)
-        pull, still, outboard = Pull(jnp.exp(gain * wrap)), jnp.zeros_like(heading), problem.outboard.nodes
-        return Solution(
-            starts=jax.tree.map(lambda x: x[:-1], edges)._replace(strain=at_starts),
-            nodes=State(pull, heading, still, outboard, at_nodes, wrap, position),
-            ends=jax.tree.map(lambda x: x[1:], edges)._replace(strain=at_ends),
-            num_iterations=answer.num_iterations,
-            residual=answer.change / cut.edges[-1],
-            converged=answer.converged,
-            locked=jnp.zeros_like(answer.converged),
-        )
+        return _as_solution(problem, answer)
 
     def improve(
         self, problem: Problem, guess: Nodal, strain: Array | None = None, before: Number | float = 0.0
@@ -85,6 +70,28 @@ class LiteralIteration(eqx.Module):
         return self(problem)
 
     finish = improve
+
+
+def _as_solution(problem: Problem, answer: FixedPointResult) -> Solution:
+    """The states along the body for a shape that was found, with the capstan law along it."""
+    cut, gain = problem.elements, problem.direction * problem.manipulator.tendon_friction
+    wrap, (heading, position) = literal_wrap_angle(problem, answer.value), integrate_shape(cut, answer.value)
+    strains = starts_of_newton(problem, answer.value)
+
+    def states(at: int, force: Array) -> State:
+        pull, moment = Pull(jnp.exp(gain * wrap[at])), jnp.zeros_like(heading[at])
+        return State(pull, heading[at], moment, force, None, wrap[at], position[at])
+
+    edges, nodes = states(0, jnp.zeros_like(position[0])), states(1, problem.outboard.nodes)
+    return Solution(
+        starts=jax.tree.map(lambda x: x[:-1], edges)._replace(strain=strains[0]),
+        nodes=nodes._replace(strain=strains[1]),
+        ends=jax.tree.map(lambda x: x[1:], edges)._replace(strain=strains[2]),
+        num_iterations=answer.num_iterations,
+        residual=answer.change / cut.edges[-1],
+        converged=answer.converged,
+        locked=jnp.zeros_like(answer.converged),
+    )
 
 
 def integrate_shape(cut: Elements, curvature: Float[Array, "P p"]) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
@@ -176,31 +183,21 @@ def iteration_history(
     given = per_tendon(manipulator, base_tension, direction)
     if not_stated(given[1]):
         given = given[0], solve(manipulator, given[0], direction=given[1], nodes=nodes).direction
-    manipulator, base_tension, direction, _ = one_precision(manipulator, *given)
-    problem = lay_out(manipulator, base_tension, direction, nodes)
-    cut = problem.elements
+    manipulator, tension, direction, _ = one_precision(manipulator, *given)
+    problem = lay_out(manipulator, tension, direction, nodes)
     start = frictionless_curvature(problem)
 
-    def update(curvature, _):
+    def update(curvature: Array, _: None) -> tuple[Array, Array]:
         new = literal_update(problem, curvature)
         return new, new
 
     _, later = jax.lax.scan(update, start, None, length=max_updates)
     curvature = jnp.concatenate([start[None], later])
-
-    def observe(curvature):
-        _, (edges, at_nodes) = integrate_shape(cut, curvature)
-        wrap = literal_wrap_angle(problem, curvature)[0][-1]
-        gain = problem.direction * manipulator.tendon_friction
-        points = jnp.concatenate([edges[:1], at_nodes.reshape(-1, 2), edges[-1:]])
-        return points, problem.base_tension * jnp.exp(-gain * wrap)
-
-    position, tip_tension = jax.vmap(observe)(curvature)
-    step = jnp.diff(position[:, -1], axis=0)
-    tip_error = jnp.sqrt(jnp.sum(step**2, axis=-1))
-    below = tip_error < tip_tolerance
+    position, tip_tension = jax.vmap(partial(_observed, problem))(curvature)
+    tip_error = jnp.sqrt(jnp.sum(jnp.diff(position[:, -1], axis=0) ** 2, axis=-1))
+    below, edges = tip_error < tip_tolerance, problem.elements.edges
     return IterationHistory(
-        arc_length=jnp.concatenate([cut.edges[:1], cut.nodes.ravel(), cut.edges[-1:]]),
+        arc_length=line_up(edges[0], problem.elements.nodes, edges[-1]),
         curvature=curvature.reshape(max_updates + 1, -1),
         position=position,
         tip_tension=tip_tension,
@@ -209,3 +206,11 @@ def iteration_history(
         num_updates=jnp.where(jnp.any(below), jnp.argmax(below) + 1, max_updates),
         converged=jnp.any(below),
     )
+
+
+def _observed(problem: Problem, curvature: Float[Array, "P p"]) -> tuple[Float[Array, "points 2"], PerTendon]:
+    """The positions of a shape at base, nodes and tip, and the tip tensions, N."""
+    edges, nodes = integrate_shape(problem.elements, curvature)[1]
+    gain = problem.direction * problem.manipulator.tendon_friction
+    tip_tension = problem.base_tension * jnp.exp(-gain * literal_wrap_angle(problem, curvature)[0][-1])
+    return line_up(edges[0], nodes, edges[-1]), tip_tension

@@ -63,6 +63,16 @@ class Iterate(NamedTuple):
     change: Number  # in the last iteration, relative; 0 before the first one
 
 
+class _March(NamedTuple):
+    """One march, with its slopes as in an iterate."""
+
+    values: Values
+    residual: Moment  # M_ext(L) - m over the moment scale
+    slopes: Values
+    residual_slopes: Array
+    solution: Solution
+
+
 class Polished(NamedTuple):
     """An iterate of the chord method."""
 
@@ -107,22 +117,23 @@ class LoadedBody(NamedTuple):
             by_loads: whether the last slope is that with respect to the load fraction; otherwise it is that with
                 respect to a factor on all base tensions.
         """
-        found, residual, slopes, residual_slopes, solution = self._march_with_slopes(before, fraction, by_loads)
-        newton, off = _newton_step(self.problem, found.moment, residual, slopes.heading, residual_slopes)
+        new = self._march_with_slopes(before, fraction, by_loads)
+        moment, solution = before.values.moment, new.solution
+        newton, off = _newton_step(self.problem, moment, new.residual, new.slopes.heading, new.residual_slopes)
         # where the march is less accurate than the residual is large, the residual may be an error of the march
-        inaccurate = (solution.residual > magnitude(residual)) & ~solution.converged
+        inaccurate = (solution.residual > magnitude(new.residual)) & ~solution.converged
         step = jnp.where(inaccurate, 0.0, newton)
-        moved = jax.tree.map(lambda x, slope: x + along_moment(slope, step), found, slopes)
+        moved = jax.tree.map(lambda x, slope: x + along_moment(slope, step), new.values, new.slopes)
         sane = decided(jnp.isfinite(magnitude(newton)) & jnp.isfinite(solution.residual) & ~solution.locked)
-        changed = relative_size(residual_slopes - before.residual_slopes, residual_slopes)
+        changed = relative_size(new.residual_slopes - before.residual_slopes, new.residual_slopes)
         exact = jnp.maximum(off, changed) <= 2 * _round_off(off) ** 0.5
         settled = decided(sane & solution.converged & exact)
-        rough = jnp.maximum(off, solution.residual), jnp.where(fraction == 0, tol.ROUGH_AT_START, tol.ROUGH)
-        near = sane & self._is_near(before, slopes, residual_slopes, *rough)
+        rough = jnp.where(fraction == 0, tol.ROUGH_AT_START, tol.ROUGH)
+        near = sane & self._is_near(before, new, jnp.maximum(off, solution.residual), rough)
         return Iterate(
-            values=moved._replace(moment=found.moment + step),
-            slopes=slopes,
-            residual_slopes=residual_slopes,
+            values=moved._replace(moment=moment + step),
+            slopes=new.slopes,
+            residual_slopes=new.residual_slopes,
             strain=solution.nodes.strain,
             near=decided(settled | near),
             settled=settled,
@@ -133,10 +144,7 @@ class LoadedBody(NamedTuple):
             change=solution.residual,
         )
 
-    def _march_with_slopes(
-        self, before: Iterate, fraction: Number, by_loads: Flag
-    ) -> tuple[Values, Moment, Values, Array, Solution]:
-        """The values after one march and M_ext(L) - m, the slopes of both, and the march itself."""
+    def _march_with_slopes(self, before: Iterate, fraction: Number, by_loads: Flag) -> _March:
         one, moment = jnp.ones_like(before.change), before.values.moment
 
         def flow(guess: Nodal, moment: Moment, fraction: Number, pull: Number):
@@ -150,22 +158,22 @@ class LoadedBody(NamedTuple):
             return jax.jvp(flow, at, tangents, has_aux=True)
 
         count = max(moment.size, 1)
-        units, last = np.eye(count + 1, count).reshape(count + 1, *moment.shape), np.eye(count + 1)[-1]
-        second, zero = jnp.where(by_loads, one, 0.0), zero_as(moment, fraction)
-        last = jnp.asarray(last, one.dtype)
-        seeds = before.slopes.nodal, zero + jnp.asarray(units, one.dtype), second * last, (one - second) * last
-        (values, residual), (slopes, by), solution = jax.vmap(push, out_axes=(None, 0, None))(*seeds)
-        return values._replace(moment=moment), residual, slopes, by, solution
+        zero, second = zero_as(moment, fraction), jnp.where(by_loads, one, 0.0)
+        units, last = (jnp.asarray(x, one.dtype) for x in (np.eye(count + 1, count), np.eye(count + 1)[-1]))
+        units = zero + units.reshape(count + 1, *moment.shape)
+        seeds = before.slopes.nodal, units, second * last, (one - second) * last
+        (values, residual), slopes, solution = jax.vmap(push, out_axes=(None, 0, None))(*seeds)
+        return _March(values._replace(moment=moment), residual, *slopes, solution)
 
-    def _is_near(self, before: Iterate, slopes: Values, residual_slopes: Array, off: Number, rough: Number) -> Flag:
+    def _is_near(self, before: Iterate, new: _March, off: Number, rough: Number) -> Flag:
         """Whether values, slopes and stability are known well enough to predict the next step."""
-        slope = self.problem.geometry.steepness(residual_slopes[:-1])
+        slope = self.problem.geometry.steepness(new.residual_slopes[:-1])
         enough = rough * jnp.minimum(1.0, slope)  # the sign of the slope must be known
-        drift = residual_slopes - before.residual_slopes
+        drift = new.residual_slopes - before.residual_slopes
         steady = magnitude(drift[:-1]) <= tol.STEADY * slope
-        steady &= relative_size(drift, residual_slopes) <= tol.STEADY
+        steady &= relative_size(drift, new.residual_slopes) <= tol.STEADY
         if self.problem.geometry.has_frames:  # where stability follows from the turns
-            turns, last = slopes.heading[:-1], before.slopes.heading[:-1]
+            turns, last = new.slopes.heading[:-1], before.slopes.heading[:-1]
             steady &= relative_size(turns - last, turns) <= tol.STEADY
         return (off <= enough) & steady
 

@@ -106,16 +106,21 @@ def reach(setup: Setup, given: PerTendon, targets: Targets) -> tuple[Balance, Fo
     aim = _aim_at(*without_derivative((setup, given, wanted)))
     start = jnp.full_like(aim.least, tol.FIRST_TENSION)
     best, slack = _levenberg_marquardt(aim, aim.nothing(start, len(wanted)), start, start < 0)
-    apart = slack[:, None] | slack | ~jnp.isfinite(best.jacobian)
-    pivots = solve_small(jnp.where(apart, jnp.eye(len(wanted)), best.jacobian), best.residual)[1]
-    determined, largest = pivots > tol.WELL_DETERMINED, jnp.max(jnp.where(slack, 0.0, jnp.abs(best.residual)))
-    reached = jnp.isfinite(best.cost) & (largest <= _tolerance(aim.scale))
+    reached, determined = _is_reached(aim, best, slack)
     sizes = jnp.stack([target.size(setup) for target in wanted.values()])
     miss = jnp.zeros_like(given).at[jnp.asarray(aim.unknown)].set(best.residual * sizes)
     equations = Partial(_equations, setup, wanted, aim.scale, best.tension, reached & determined & ~slack)
     tension = given.at[jnp.asarray(aim.unknown)].set(aim.scale * best.tension)
     found = Found(miss, reached, jnp.any(slack), determined)
     return balance(setup, tension, best.settled, aim.unknown, equations, aim.whole), found
+
+
+def _is_reached(aim: _Aim, best: _TensionTrial, slack: Flags) -> tuple[Bool[Array, ""], Bool[Array, ""]]:
+    """Whether the targets of the tendons that pull are reached, and by no other tensions nearby."""
+    apart = slack[:, None] | slack | ~jnp.isfinite(best.jacobian)
+    pivots = solve_small(jnp.where(apart, jnp.eye(slack.size), best.jacobian), best.residual)[1]
+    missed = jnp.max(jnp.where(slack, 0.0, jnp.abs(best.residual)))
+    return jnp.isfinite(best.cost) & (missed <= _tolerance(aim.scale)), pivots > tol.WELL_DETERMINED
 
 
 def _aim_at(setup: Setup, given: PerTendon, wanted: "Wanted") -> _Aim:
@@ -275,20 +280,24 @@ def _reach_place(setup: Setup, given: PerTendon, target: TipPosition) -> tuple[B
         frozen_setup, frozen_given, tuple(range(given.size)), misses, scale, *frozen.limits(scale, given), whole=True
     )
     best = _least_total(aim, frozen)
-
+    jacobian = jnp.where(jnp.isfinite(best.jacobian), best.jacobian, 0.0)
     inside = (best.tension > aim.least) & (best.tension < aim.most)
-    jacobian, effect = jnp.where(jnp.isfinite(best.jacobian), best.jacobian, 0.0), _same_effect(scale)
-    both = jnp.concatenate([jacobian, jnp.max(jnp.abs(jacobian)) * jnp.ones_like(given)[None]])
-    determined = jnp.linalg.matrix_rank(both * inside, rtol=effect) == jnp.sum(inside)
-    reached = jnp.isfinite(best.cost) & (jnp.max(jnp.abs(best.residual)) <= _tolerance(scale))
-    miss = best.residual * frozen_setup.manipulator.length
-    none_slack = jnp.zeros_like(reached)
-    found = Found(miss, reached, none_slack, determined, jnp.linalg.matrix_rank(jacobian, rtol=effect))
-
-    follow = jnp.where(reached, jnp.linalg.pinv(jacobian * inside, rtol=effect), 0.0)
+    found = _found_near_place(aim, best, jacobian, inside)
+    follow = jnp.where(found.reached, jnp.linalg.pinv(jacobian * inside, rtol=_same_effect(scale)), 0.0)
     moves = jnp.eye(given.size, dtype=given.dtype) - follow @ jacobian
     equations = Partial(_place_equations, setup, target, scale, best.tension, follow, moves)
     return balance(setup, scale * best.tension, best.settled, aim.unknown, equations, whole=True), found
+
+
+def _found_near_place(
+    aim: _Aim, best: _TensionTrial, jacobian: Float[Array, "components unknowns"], inside: Flags
+) -> Found:
+    """Whether the position was reached, and whether other tensions between the limits do the same."""
+    rank = partial(jnp.linalg.matrix_rank, rtol=_same_effect(aim.scale))
+    both = jnp.concatenate([jacobian, jnp.max(jnp.abs(jacobian)) * jnp.ones_like(best.tension)[None]])
+    reached = jnp.isfinite(best.cost) & (jnp.max(jnp.abs(best.residual)) <= _tolerance(aim.scale))
+    miss = best.residual * aim.setup.manipulator.length
+    return Found(miss, reached, jnp.zeros_like(reached), rank(both * inside) == jnp.sum(inside), rank(jacobian))
 
 
 def _place_equations(
