@@ -79,11 +79,6 @@ class Problem(eqx.Module):
     rough: bool = eqx.field(default=False, static=True)  # whether kinks are passed over, for a first guess
 
     @property
-    def base(self) -> AnySection:
-        """The cross-section at the base."""
-        return jax.tree.map(lambda x: x[0], self.points)
-
-    @property
     def tip(self) -> AnySection:
         """The cross-section at the tip."""
         return jax.tree.map(lambda x: x[-1], self.points)

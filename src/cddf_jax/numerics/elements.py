@@ -376,9 +376,8 @@ class Elements(eqx.Module):
         """The polynomials through the nodes, at the nodes of elements into which each of these is divided equally."""
         parts = finer.nodes.shape[0] // self.nodes.shape[0]
         places = (np.arange(parts)[:, None] + finer.rule.nodes).ravel() / parts
-        basis = legendre.legvander(2 * places - 1, self.order - 1) @ self.rule.series
-        found = jax.vmap(lambda x: times(basis, x))(values)
-        return found.reshape(*finer.nodes.shape, *values.shape[2:])
+        starts, ends = self.at_starts_and_ends(values)
+        return self.resample(starts, values, ends, places).reshape(*finer.nodes.shape, *values.shape[2:])
 
     def interpolate(self, start: Tree, values: Tree, end: Tree, arc_length: Float[Array, ""]) -> Tree:
         """The polynomials through start, nodes and end of the element that holds `arc_length`.

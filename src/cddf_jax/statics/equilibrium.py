@@ -10,13 +10,12 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from ..errors import InputError
 from ..mechanics.fields import AnyFields, fields_at, tendons_first
-from ..mechanics.problem import State, edge_nudge, guarded_section, strain_of
-from ..mechanics.space import path_rate
+from ..mechanics.problem import State, edge_nudge, geometry_at, guarded_section, strain_of
 from ..numerics.arrays import words_or_shapes
 from ..numerics.elements import Elements
 from ..numerics.given_numbers import check_numbers
 from ..numerics.rotations import length_of
-from ..robot.cross_section import SpatialSection, spatial
+from ..robot.cross_section import SpatialSection
 from ..robot.manipulator import Manipulator
 from .status import Status
 
@@ -178,12 +177,13 @@ class Dense(eqx.Module):
         inside = (arc_length >= 0) & (arc_length <= self.elements.edges[-1])
         return nan_unless(self.solved & inside, fields)
 
-    def shortened(self, arc_length: Float[ArrayLike, " points"]) -> Float[Array, "tendons points"]:
-        """By how much the fibre at each tendon of a body in space is shorter than the axis at rest."""
+    def inside_of_bend(self, arc_length: Float[ArrayLike, " points"]) -> Float[Array, "tendons points"]:
+        """Offset * curvature of each tendon; in space by how much the fibre there is shorter than the axis at rest."""
 
         def at(s: Float[Array, ""]) -> PerTendon:
-            section = spatial(guarded_section(self.manipulator, s))
-            return 1.0 - path_rate(section, strain_of(section, self.base_tension, self.state(s)))[:, 0]
+            section = guarded_section(self.manipulator, s)
+            strain = strain_of(section, self.base_tension, self.state(s))
+            return geometry_at(section).inside(section, strain)
 
         return jax.vmap(at, out_axes=1)(jnp.asarray(arc_length))
 

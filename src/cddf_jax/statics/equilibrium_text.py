@@ -145,13 +145,9 @@ def result_in_words(equilibrium: Equilibrium) -> str:
 def describe_crossing(equilibrium: Equilibrium) -> str:
     """Where offset * curvature is largest on the inside of a bend, as "tendon 1: offset * curvature is 1.08 at ..."."""
     body, s = equilibrium._dense.manipulator, np.asarray(equilibrium.arc_length)
-    if equilibrium.in_space:
-        shorter = np.asarray(_shortened(equilibrium._dense, s))
-    else:
-        side = np.asarray([tendon.side for tendon in body.tendons])[:, None]
-        shorter = side * np.asarray(body.offset(s)) * np.asarray(equilibrium.curvature)
+    inside = np.asarray(_inside_of_bend(equilibrium._dense, s))
     reach = np.asarray([body.length if tendon.end is None else tendon.end for tendon in body.tendons])[:, None]
-    crossing = np.where(s <= reach, shorter, 0.0)
+    crossing = np.where(s <= reach, inside, 0.0)
     tendon, point = np.unravel_index(np.argmax(crossing), crossing.shape)
     most = crossing[tendon, point]
     hint = "; is the modulus in Pa, are lengths in m?" if most > _FAR_TOO_MUCH else ""
@@ -159,4 +155,4 @@ def describe_crossing(equilibrium: Equilibrium) -> str:
     return f"tendon {tendon + 1}: {what} is {most:.3g} at s = {shown(s[point], 'length')}{hint}"
 
 
-_shortened = eqx.filter_jit(Dense.shortened)
+_inside_of_bend = eqx.filter_jit(Dense.inside_of_bend)
