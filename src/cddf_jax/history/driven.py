@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from ..numerics.fixed_point import picard
 from ..robot.manipulator import Manipulator
 from .congruent_parts import Heading, ends_of_motion, pose_of_base, slid_up_to, tilt_of, turned_back, turned_on
 from .fronts import Motion
@@ -185,8 +186,6 @@ class _Bracket(NamedTuple):
     value_behind: Number
     value: Number
     crossed: Bool[Array, ""]  # whether the zero lies between the two
-    ended: Bool[Array, ""]
-    num_tries: Int[Array, ""]
 
 
 def _search(
@@ -195,8 +194,8 @@ def _search(
     """The zero of a growing function between 0 and `most`, by the Illinois rule; and whether there is one."""
     least = 4 * jnp.finfo(most.dtype).eps
 
-    def step(state: _Bracket) -> _Bracket:
-        a, b, fa, fb = state[:4]
+    def step(state: _Bracket) -> tuple[_Bracket, Number]:
+        a, b, fa, fb, _ = state
         slope = jnp.where(fb == fa, 1.0, fb - fa)
         within = jnp.clip(b - fb * (b - a) / slope, jnp.minimum(a, b), jnp.maximum(a, b))
         c = jnp.where(state.crossed, within, jnp.minimum(jnp.maximum(2 * b, first_try), most))
@@ -205,10 +204,8 @@ def _search(
         crossed = state.crossed | crosses
         settled = (fc == 0) | jnp.where(crossed, jnp.abs(c - b) <= least * c, c >= most)
         behind, value_behind = jnp.where(crosses, b, a), jnp.where(crosses, fb, fa / 2)
-        return _Bracket(behind, c, value_behind, fc, crossed, settled, state.num_tries + 1)
+        return _Bracket(behind, c, value_behind, fc, crossed), jnp.where(settled, 0.0, 1.0 + 0.0 * c)
 
     zero = jnp.zeros_like(most)
-    nothing = zero > 1
-    start = _Bracket(zero, zero, at_zero, at_zero, nothing, nothing, jnp.zeros((), int))
-    end = jax.lax.while_loop(lambda state: ~state.ended & (state.num_tries < EVALUATIONS), step, start)
+    end, _, _ = picard(step, _Bracket(zero, zero, at_zero, at_zero, zero > 1), 0.0, EVALUATIONS)
     return end.last, end.crossed | (end.value == 0)

@@ -20,6 +20,7 @@ from ..mechanics.friction import PerTendon
 from ..mechanics.march import FixedPoint
 from ..mechanics.problem import State, at_nodes, geometry_of, guarded_section, lay_out, tension_of
 from ..numerics.elements import Elements, gauss_rule
+from ..numerics.fixed_point import newton
 from ..robot.cross_section import AnySection, planar
 from ..robot.manipulator import Manipulator
 from ..statics.solve import solve
@@ -224,7 +225,7 @@ def _tension_when_passing(
         return tension - value / jnp.where(slope > 0, slope, 1.0)
 
     # the last step has the derivatives of the root
-    return jax.lax.fori_loop(0, REFINEMENTS, lambda _, tension: nearer(jax.lax.stop_gradient(tension)), found)
+    return newton(lambda tension: nearer(jax.lax.stop_gradient(tension)), found, REFINEMENTS)
 
 
 def _rates(body: Manipulator, nodes: int, direction: Number, tension: Number, arc_length: Number) -> WorkAndLoss:

@@ -14,6 +14,7 @@ from ..mechanics.march import FixedPoint
 from ..mechanics.problem import Problem, guarded_section, lay_out, tension_of
 from ..numerics.arrays import zero_as
 from ..numerics.elements import Elements
+from ..numerics.fixed_point import newton
 from ..robot.cross_section import SpatialSection, planar, spatial
 from ..robot.manipulator import Manipulator
 from ..statics.solve import solve
@@ -66,8 +67,7 @@ def front_of(body: Manipulator, nodes: int, motion: Motion, *, refined: bool = T
     gap = direction * (_left(tension, pull) * other.ratio - _left(turned_at, other) * pull.ratio)
     front = jnp.clip(first_zero(here.elements, gap[..., 0]), LEAST * length, length)
     if refined and not is_play_of_inverse(body):  # else r is a polynomial, and the front is exact already
-        refine = partial(_nearer, body, nodes, ends)
-        found = jax.lax.fori_loop(0, REFINEMENTS, lambda _, front: refine(front), front)
+        found = newton(partial(_nearer, body, nodes, ends), front, REFINEMENTS)
         front = jnp.where(front < length, found, front)
     return jax.lax.stop_gradient(jnp.where(from_rest, length, front))
 
@@ -169,7 +169,7 @@ def _zero_before(cut: Elements, values: Float[Array, " q"], point: UInt[Array, "
     def value(place: Number) -> Number:
         return cut.lagrange(place) @ values[1:-1]
 
-    def narrow(_, state):
+    def narrow(state: tuple[Array, Array]) -> tuple[Array, Array]:
         (a, b), (fa, fb) = state
         slope = jnp.where(fb == fa, 1.0, fb - fa)
         c = jnp.where(fb == fa, (a + b) / 2, jnp.clip(b - fb * (b - a) / slope, jnp.minimum(a, b), jnp.maximum(a, b)))
@@ -179,4 +179,4 @@ def _zero_before(cut: Elements, values: Float[Array, " q"], point: UInt[Array, "
 
     ends = jnp.stack([jnp.maximum(point, 1) - 1, point])
     bracket = points[ends] + zero_as(values)  # shard_map wants the bracket to vary as the values do
-    return jax.lax.fori_loop(0, BRACKETINGS, narrow, (bracket, values[ends]))[0][1]
+    return newton(narrow, (bracket, values[ends]), BRACKETINGS)[0][1]

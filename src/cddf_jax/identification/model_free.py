@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import least_squares
 from scipy.special import stdtr, stdtrit
 
 from ..errors import InputError
@@ -318,16 +319,23 @@ def _regression(
     """Gain, loss and zero of T_tip = gain / (1/T_base +- loss) + zero, their covariance, and the degrees of freedom."""
     inverse, tip, way = 1 / table["base_tension"][rows], table["tip_tension"][rows], branch[rows]
     count = 2 + with_zero
-    found = np.array([1.0, max(float(np.median(way * (1 / tip - inverse))), 0.0), 0.0])
+    start = np.array([1.0, max(float(np.median(way * (1 / tip - inverse))), 0.0), 0.0])
 
-    def linearised() -> tuple[np.ndarray, np.ndarray]:
-        slack = np.maximum(inverse + way * found[1], LEAST_SLACK * inverse)
-        columns = np.stack([1 / slack, -found[0] * way / slack**2, np.ones(tip.size)], axis=1)[:, :count]
-        return columns, tip - found[0] / slack - found[2]
+    def residuals(gain: float, loss: float, zero: float = 0.0) -> np.ndarray:
+        return gain / np.maximum(inverse + way * loss, LEAST_SLACK * inverse) + zero - tip
 
-    for _ in range(ROUNDS):  # the Gauss-Newton method
-        found[:count] += np.linalg.lstsq(*linearised())[0]
-    columns, residual = linearised()
+    def slopes(gain: float, loss: float, zero: float = 0.0) -> np.ndarray:
+        slack = np.maximum(inverse + way * loss, LEAST_SLACK * inverse)
+        return np.stack([1 / slack, -gain * way / slack**2, np.ones(tip.size)], axis=1)[:, :count]
+
+    best = least_squares(
+        lambda x: residuals(*x),
+        start[:count],
+        lambda x: slopes(*x),  # pyright: ignore[reportArgumentType]
+        method="lm",
+        x_scale="jac",
+    )
+    found, columns, residual = np.append(best.x, [0.0] * (3 - count)), best.jac, -best.fun
     covariance, labels = np.full((3, 3), np.inf), independent_labels(table, rows)
     if np.linalg.matrix_rank(columns) == count:
         covariance[:count, :count] = jackknife(columns, residual, labels)
