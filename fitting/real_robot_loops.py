@@ -1,9 +1,9 @@
 """Study: what makes the loops of a real robot that is driven by displacement? Nine tendons, pulled and released.
 
-All nine loops are fitted at once, in space: one compliance outside the body, one camera, and for each tendon its slack
-offset and its angle around the axis, which the data themselves suggest. The other tendons hang slack. Each loop begins
-with the straight body. The bench has no load cell, so that modulus and compliance are known as a product only; the
-modulus is that assumed by the origin of the data.
+All nine loops are fitted at once, in space, as one history: the body begins each loop in the shape in which the loop
+before left it. The bench has one compliance outside the body, one camera, and for each tendon its slack offset and its
+angle around the axis, which the data themselves suggest. The tendons that are not pulled hang slack. There is no load
+cell, so that modulus and compliance are known as a product only; the modulus is that assumed by the origin of the data.
 
 What is compared: no friction, the friction of tendons on the body, a lag of the body behind its motors, a constant
 friction of the tendon outside the body, and a constant friction moment of the body.
@@ -25,10 +25,13 @@ from cddf_jax.files.writing import as_json, write_all
 DATA = Path(__file__).resolve().parents[1] / "data"
 OUT = "out/fitting/real_robot_loops"
 FIRST = 2  # rows of a trial that come before, in which other tendons still move
+SLACK, PAUSE = -0.010, 10.0  # m, of a tendon that is not pulled; s, between loops
+TIP = ("tip_x", "tip_y", "tip_z")
 ENDS = (0.060, 0.1225, 0.1865)  # m, of the segments
 LENGTH = 0.18825  # m, up to the marker
 RADIUS, MODULUS = 0.0005, 50e9  # m, Pa, of the rod; the modulus was assumed by the origin of the data
 OFFSET = 0.0045  # m
+STEPS = {"nodes": 8, "short_steps": 2}  # their error is told with the results
 MODELS = {
     "no friction": (),
     "friction on the body": ("friction_coefficient",),
@@ -51,9 +54,19 @@ def read(robot: str = "v4") -> list[cddf.Measurements]:
         number = int(own[0]["tendon"])
         columns = {"displacement" if number == 1 else f"displacement_{number}": pulled}
         columns |= {"time": np.array([float(row["time [s]"]) for row in own])}
-        columns |= dict(zip(("tip_x", "tip_y", "tip_z"), tip, strict=True))
+        columns |= dict(zip(TIP, tip, strict=True))
         found.append(cddf.Measurements.from_columns(f"{robot} {name}", notes=(), **columns))
     return found
+
+
+def one_history(loops: list[cddf.Measurements]) -> cddf.Measurements:
+    """All loops in one table, one after the other."""
+    pulled = [pulled_by(table) for table in loops]
+    columns = {own: np.concatenate([t.columns.get(own, np.full(len(t), SLACK)) for t in loops]) for own in pulled}
+    columns |= {column: np.concatenate([table[column] for table in loops]) for column in TIP}
+    ends = np.cumsum([0.0, *(table["time"][-1] + PAUSE for table in loops)])
+    columns["time"] = np.concatenate([start + table["time"] for start, table in zip(ends, loops, strict=False)])
+    return cddf.Measurements.from_columns("v4", notes=(), **columns)
 
 
 def pulled_by(table: cddf.Measurements) -> str:
@@ -85,7 +98,8 @@ def fit(loops: list[cddf.Measurements], model: str) -> cddf.Fit:
     own = [f"{name}_{i}" for name in ("slack_offset", "tendon_angle_error") for i in range(1, len(loops) + 1)]
     bench = ["outside_compliance", *(f"camera_{axis}" for axis in "xyz"), "camera_turn_y", "camera_turn_z", *own]
     friction = 0.1 if "friction_coefficient" in MODELS[model] else 0.0
-    return cddf.fit(robot(loops, friction), loops, [*bench, *MODELS[model]], noise={"displacement": 0.0})
+    free = [*bench, *MODELS[model]]
+    return cddf.fit(robot(loops, friction), one_history(loops), free, noise={"displacement": 0.0}, **STEPS)
 
 
 def misfit(found: cddf.Fit) -> float:
@@ -99,22 +113,23 @@ def numbers(model: str, found: cddf.Fit) -> dict[str, float | str]:
     line: dict[str, float | str] = {"model": model, "misfit": misfit(found), "BIC": found.information_criteria["BIC"]}
     for own in (*MODELS[model], "outside_compliance"):
         line |= {own: found.value[own], f"{own}_error": found.standard_error[own], f"{own}_is": found.status[own]}
+        line |= {f"{own}_moved_by_steps": found.moved_by_steps.get(own, 0.0)}
     return line
 
 
-def figure(found: dict[str, cddf.Fit]) -> Figure:
+def figure(loops: list[cddf.Measurements], found: dict[str, cddf.Fit]) -> Figure:
     """How far the tip is from its place at the beginning, over the displacement; a tendon in each panel."""
-    some = next(iter(found.values()))
+    ends = np.cumsum([len(table) for table in loops])
     with draw.house_style():
         drawn = draw.new_figure(draw.DOUBLE_COLUMN, 5.2)
         panels = drawn.subplots(3, 3).ravel().tolist()
-        for number, (axes, table) in enumerate(zip(panels, some.tables, strict=True), 1):
-            read = np.stack([table[column] for column in ("tip_x", "tip_y", "tip_z")], axis=1)
+        for number, (axes, table) in enumerate(zip(panels, loops, strict=True), 1):
+            read = np.stack([table[column] for column in TIP], axis=1)
             x = 1e3 * table[pulled_by(table)]
             axes.plot(x, 1e3 * np.linalg.norm(read - read[0], axis=1), "o", color=looks.BLACK, label="measured")
             for model, colour in DRAWN.items():
-                labels = [f"{table.name}: {column}" for column in ("tip_x", "tip_y", "tip_z")]
-                tip = read - np.stack([found[model].residuals[label] for label in labels], axis=1)
+                off = np.stack([found[model].residuals[f"v4: {column}"] for column in TIP], axis=1)
+                tip = read - off[ends[number - 1] - len(table) : ends[number - 1]]
                 axes.plot(x, 1e3 * np.linalg.norm(tip - read[0], axis=1), color=colour, label=model)
             axes.set_title(f"tendon {number}")
         for axes in panels[6:]:
@@ -158,4 +173,4 @@ if __name__ == "__main__":
         print("\n".join(rival.in_words for rival in found[model].rivals))
     print(f"v6: {refusal()}")
     lines = [numbers(model, own) for model, own in found.items()]
-    write_all(OUT, draw.render(figure(found), "loops") | {"loops.json": as_json({"models": lines})})
+    write_all(OUT, draw.render(figure(loops, found), "loops") | {"loops.json": as_json({"models": lines})})
