@@ -31,7 +31,8 @@ ENDS = (0.060, 0.1225, 0.1865)  # m, of the segments
 LENGTH = 0.18825  # m, up to the marker
 RADIUS, MODULUS = 0.0005, 50e9  # m, Pa, of the rod; the modulus was assumed by the origin of the data
 OFFSET = 0.0045  # m
-STEPS = {"nodes": 8, "short_steps": 2}  # their error is told with the results
+NODES, STEPS = 8, 2  # the error of these few is told with the results
+EXACT = {"displacement": 0.0}
 MODELS = {
     "no friction": (),
     "friction on the body": ("friction_coefficient",),
@@ -99,7 +100,7 @@ def fit(loops: list[cddf.Measurements], model: str) -> cddf.Fit:
     bench = ["outside_compliance", *(f"camera_{axis}" for axis in "xyz"), "camera_turn_y", "camera_turn_z", *own]
     friction = 0.1 if "friction_coefficient" in MODELS[model] else 0.0
     free = [*bench, *MODELS[model]]
-    return cddf.fit(robot(loops, friction), one_history(loops), free, noise={"displacement": 0.0}, **STEPS)
+    return cddf.fit(robot(loops, friction), one_history(loops), free, noise=EXACT, nodes=NODES, short_steps=STEPS)
 
 
 def misfit(found: cddf.Fit) -> float:
@@ -157,7 +158,7 @@ def refusal() -> str:
     columns |= {"displacement": loop[pulled_by(loop)], "tip_y": across @ (way / np.linalg.norm(way))}
     table = cddf.Measurements.from_columns(loop.name, notes=(), **columns)
     free = ["friction_coefficient", "outside_compliance", "slack_offset", "camera"]
-    return cddf.fit(body, table, free, noise={"displacement": 0.0}).result
+    return cddf.fit(body, table, free, noise=EXACT).result
 
 
 if __name__ == "__main__":

@@ -162,12 +162,7 @@ def _strain(view: BodyView) -> Array:
 
 
 def _crossing(view: BodyView) -> Array:
-    if view.equilibrium.in_space:
-        inside = view.equilibrium._dense.shortened(view.arc_length)
-    else:
-        sides = jnp.asarray([[float(tendon.side)] for tendon in view.body.tendons])
-        inside = sides * view.body.offset(view.arc_length) * view.along.curvature
-    return jnp.where(view.anchored, inside, 0.0)
+    return jnp.where(view.anchored, view.equilibrium._dense.inside_of_bend(view.arc_length), 0.0)
 
 
 def _tension(view: BodyView) -> Array:

@@ -331,7 +331,6 @@ def course_of(
     paths: Sequence[np.ndarray] | None = None,
     stepped: bool = False,
     timed: bool = False,
-    in_space: bool = False,
 ) -> tuple[Course, dict[str, Steady]]:
     """The rows of a table as steps of paths, and by column what was set without the jitter of its readings.
 
@@ -344,7 +343,6 @@ def course_of(
         paths: the rows of each path; None: those of each trial.
         stepped: whether loads besides the tip forces, or friction besides that on the body, rule out an exact answer.
         timed: whether the body may come after motors, so that the times of the rows count.
-        in_space: whether the body is in space, where displacements are followed in increments.
 
     Raises:
         InputError: for a column `direction` of a single tendon that contradicts the order of the rows, a largest
@@ -353,7 +351,7 @@ def course_of(
     rows, force = len(table), tip_forces(table)
     pulled = set_by(table.columns)
     by_length = tuple(kind_of(column) == "displacement" for column in pulled)
-    exact = len(pulled) == 1 and not np.any(force) and not stepped and not (in_space and any(by_length))
+    exact = len(pulled) == 1 and not np.any(force) and not stepped
     rows_of_paths = table.trials if paths is None else paths
     timed &= any(by_length) and max(map(len, rows_of_paths)) > 1
     trial, step = np.zeros(rows, int), np.zeros(rows, int)

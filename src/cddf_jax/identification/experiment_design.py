@@ -273,7 +273,7 @@ def _experiment(
     if paths:
         along = along_a_path(body, (*parameters, *setting.given))
         stepped = setting.loads is not None or bool({*along} & {*RUBBING})
-        how = {"paths": paths, "stepped": stepped, "timed": "lag" in along, "in_space": body.in_space}
+        how = {"paths": paths, "stepped": stepped, "timed": "lag" in along}
         course = course_of(table, dict.fromkeys(SET, 0.0), **how)[0]
     return experiment_of(table, body, course=course, setting=setting, free=("angle_zero",))  # no reading is known yet
 

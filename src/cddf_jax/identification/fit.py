@@ -168,7 +168,7 @@ class Fit(LeastSquaresFit):
         body, setting = self.manipulator, self._setting(column)
         stepped = body.has_memory or setting.loads is not None
         timed = "lag" in along_a_path(body, (*self.names, *setting.given))
-        how = {"short_steps": self._short_steps, "stepped": stepped, "timed": timed, "in_space": body.in_space}
+        how = {"short_steps": self._short_steps, "stepped": stepped, "timed": timed}
         pulls = {"base_tension": base_tension, "displacement": displacement}
         path = {"time": time, "history": history, "before": before}
         wanted = predicted_rows(pulls, tip_force, body.num_tendons, setting, **path, **how)
@@ -440,7 +440,7 @@ def _courses(
             what = f"{table.name}: {', '.join(along)} act along a history, and the rows have none"
             raise InputError(what, remedy="add a column step or time, or give history=True (--history)")
     stepped = setting.loads is not None or bool({*along} & {*RUBBING})
-    how = {"stepped": stepped, "timed": "lag" in along, "in_space": manipulator.in_space}
+    how = {"stepped": stepped, "timed": "lag" in along}
     courses = [
         course_of(table, noise, own, short_steps, paths=rows, **how) if rows else None
         for table, rows, own in zip(tables, paths, starts, strict=True)

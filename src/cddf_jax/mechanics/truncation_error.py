@@ -45,7 +45,6 @@ def truncation_error(problem: Problem, solution: Solution, method: Method) -> Nu
 
 def _gains(problem: Problem, solution: Solution) -> Float[Array, "P values"]:
     """The gains over the elements of all that is integrated, each over its scale."""
-
     tip = solution.tip
     scale = spent_scale(problem, tip.pull)
 
@@ -56,8 +55,7 @@ def _gains(problem: Problem, solution: Solution) -> Float[Array, "P values"]:
         parts = ratio, *spent, turned, state.position / problem.elements.edges[-1], state.moment / problem.moment_scale
         return jnp.concatenate([jnp.atleast_1d(part) for part in parts])
 
-    starts, tip = jax.vmap(scaled)(solution.starts), scaled(tip)
-    return jnp.diff(jnp.concatenate([starts, tip[None]]), axis=0)
+    return jnp.diff(jnp.concatenate([jax.vmap(scaled)(solution.starts), scaled(tip)[None]]), axis=0)
 
 
 def _unseen_turning(problem: Problem) -> Number:

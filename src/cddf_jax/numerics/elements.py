@@ -9,7 +9,7 @@ nodes, each divided at the root of the rate.
 """
 
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, reduce
 from typing import NamedTuple, TypeVar
 
 import equinox as eqx
@@ -298,7 +298,7 @@ def _nearest(curve: Quartic) -> Float[Array, "q *k"]:
         speed = jnp.sum(rate**2, axis=-1)
         return jnp.clip(t - jnp.sum(value * rate, axis=-1) / jnp.where(speed > 0, speed, 1.0), -0.5, 1.5)
 
-    z = nearer(jnp.zeros_like(curve[0][..., 0]), curve[0], sum(curve[1:]))
+    z = nearer(jnp.zeros_like(curve[0][..., 0]), curve[0], reduce(jnp.add, curve[1:]))
     return jax.lax.stop_gradient(nearer(z, _value(curve, z[..., None]), _rate(curve, z[..., None])))
 
 

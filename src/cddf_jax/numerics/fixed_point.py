@@ -136,8 +136,8 @@ def _(primals, tangents, *, max_iterations):
     values, root = _root(step, values, root, failed, max_iterations=max_iterations)
     pushed, push = linearised(lambda step, *at: step(*at), step, direction, values, root)
     slopes = _settled(push, pushed, root, max_iterations)
-    if not root.size:
-        return (values, root), slopes
+    if not root.size:  # in a batch JAX wants an output that is the same in all lanes to have such a tangent
+        return (values, root), (slopes[0], jnp.zeros_like(root))
     still = jax.tree.map(jnp.zeros_like, values)
     by_unknowns = jax.vmap(lambda unit: _settled(push, push(still, unit), root, max_iterations))(_units(root, values))
     by_unknowns = jax.tree.map(lambda slope: jnp.where(failed, 0.0, slope), by_unknowns)

@@ -12,6 +12,7 @@ from .equilibrium import Dense, Equilibrium, ended_as, on_host
 from .status import Status, words_of
 
 _FAR_TOO_MUCH = 10.0  # offset * curvature; a larger value is probably due to a wrong unit
+_ROUNDING = 1e-9  # places whose numbers differ by less are equally bad
 _RATIO_OF_MATERIALS = 0.5  # the largest Poisson's ratio of an isotropic material
 # statuses of solves whose numbers are kept and may be wrong; `remarks_on` adds further warnings
 _DOUBTED = (Status.crossing, Status.inaccurate, Status.slack, Status.unreachable, Status.undetermined)
@@ -148,8 +149,8 @@ def describe_crossing(equilibrium: Equilibrium) -> str:
     inside = np.asarray(_inside_of_bend(equilibrium._dense, s))
     reach = np.asarray([body.length if tendon.end is None else tendon.end for tendon in body.tendons])[:, None]
     crossing = np.where(s <= reach, inside, 0.0)
-    tendon, point = np.unravel_index(np.argmax(crossing), crossing.shape)
-    most = crossing[tendon, point]
+    most = np.max(crossing)
+    tendon, point = np.argwhere(crossing >= (1 - _ROUNDING) * most)[0]
     hint = "; is the modulus in Pa, are lengths in m?" if most > _FAR_TOO_MUCH else ""
     what = "offset * curvature less stretch" if body.extensible else "offset * curvature"
     return f"tendon {tendon + 1}: {what} is {most:.3g} at s = {shown(s[point], 'length')}{hint}"

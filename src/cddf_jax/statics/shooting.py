@@ -162,8 +162,8 @@ class LoadedBody(NamedTuple):
         units, last = (jnp.asarray(x, one.dtype) for x in (np.eye(count + 1, count), np.eye(count + 1)[-1]))
         units = zero + units.reshape(count + 1, *moment.shape)
         seeds = before.slopes.nodal, units, second * last, (one - second) * last
-        (values, residual), slopes, solution = jax.vmap(push, out_axes=(None, 0, None))(*seeds)
-        return _March(values._replace(moment=moment), residual, *slopes, solution)
+        (values, residual), (slopes, steepness), solution = jax.vmap(push, out_axes=(None, 0, None))(*seeds)
+        return _March(values._replace(moment=moment), residual, slopes, steepness, solution)
 
     def _is_near(self, before: Iterate, new: _March, off: Number, rough: Number) -> Flag:
         """Whether values, slopes and stability are known well enough to predict the next step."""
