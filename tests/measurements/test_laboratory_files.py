@@ -168,6 +168,7 @@ GUESSES = {  # what an engineer says who reads the heads
     "F_soll [N],F_ist [N],Weg [mm],U [V]": ",base_tension [N],,",
     "head_x [cm],tip pos x [mm],F [N]": ",tip_x [mm],base_tension [N]",
     "Umschlingungswinkel [rad],Gewicht [N],Zugkraft [N]": "wrap_angle [rad],weight [N],pulling_tension [N]",
+    "Zeit_ms,servo_4_mm,servo_3_mm,tip pos x [mm]": "time [ms],displacement [mm],displacement_2 [mm],tip_x [mm]",
     'F "a" [N],`F` $b [N]': "base_tension [N],tip_tension [N]",
 }  # fmt: skip
 

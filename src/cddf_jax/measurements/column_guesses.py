@@ -12,16 +12,20 @@ from ..files.csv_table import Unused
 from ..files.table_header import is_like_number, name_and_unit, short
 from ..units import Dimension, preferred, unit_fits
 from .columns import PULLEY, column_dimension, column_resembled
+from .readings import of_tendons
 
 _Wanted = Mapping[Dimension, Sequence[str]]  # columns by what they measure, the usual one first
 _FORCES = ("base_tension", "tip_tension", "tip_force_x", "tip_force_y", "tip_force_z")
-_BENCH: _Wanted = {"force": _FORCES, "angle": ["tip_angle"], "length": ["tip_x", "tip_y", "tip_z"], "time": ["time"]}
+_PULLED = of_tendons("displacement", 9)
+_LENGTHS = ("tip_x", "tip_y", "tip_z", *_PULLED)
+_BENCH: _Wanted = {"force": _FORCES, "angle": ["tip_angle"], "length": _LENGTHS, "time": ["time"]}
 _PULLEY: _Wanted = {"force": ["weight", "pulling_tension"], "angle": ["wrap_angle"]}
 _MARKERS: _Wanted = {"length": ["x", "y", "z", "arc_length"]}
 _WORDS = {  # by the beginning of a column, in names of it
     "base": re.compile("base|unten|bottom|lower|prox|motor|winch", re.I),
     "tip": re.compile(r"tip|spitze|oben|\btop|upper|dist|\bend\b", re.I),
     "weight": re.compile("weight|gewicht", re.I),
+    "displacement": re.compile(r"servo|encoder|\benc\b|displac|pulled|motor|winch|spool|tendon", re.I),
 }
 _MEASURED: dict[Dimension, re.Pattern[str]] = {  # in names without a unit
     "angle": re.compile("angle|winkel|bend", re.I),
@@ -90,7 +94,7 @@ def _guesses(unused: Sequence[Unused], known: Collection[str], wanted: _Wanted) 
             for meant in wanted.get(dimension, ()) if dimension else ():
                 of_axis, said = meant[-2:] in ("_x", "_y", "_z") or len(meant) == 1, _said(name, meant)
                 good = meant[-1] == axis[1].lower() if axis and of_axis else not axis and not of_axis
-                if good and meant not in taken and (said if by_words else said is not False):
+                if good and meant not in taken and (said if by_words or meant in _PULLED else said is not False):
                     found[one.head] = _with_unit(meant, unit, dimension)
                     taken.add(meant)
                     break
