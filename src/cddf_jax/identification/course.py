@@ -4,6 +4,7 @@ Each trial starts from rest, a straight body whose tendon never had a tension, u
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -73,6 +74,7 @@ class Course(eqx.Module):
     short_steps: int | None = eqx.field(default=None, static=True)  # of each step; None where the answer is exact
     by_length: tuple[bool, ...] = eqx.field(default=(False,), static=True)  # of each tendon, if displacements
     time: Float[np.ndarray | Array, "trials steps"] | None = None  # s, where the body comes after the motors
+    number: Int[np.ndarray | Array, " trials"] | None = None  # of each trial among those of all tables, from 1
 
     @property
     def _falls(self) -> np.ndarray:
@@ -130,9 +132,9 @@ class Course(eqx.Module):
     def true_displacement(self, parameters: Mapping[str, ArrayLike], readings: Array, offset: Array) -> Array:
         """(trials, steps, tendons), how far each tendon is pulled in, m, from what the encoders read.
 
-        `offset`: the slack offset of each tendon, m.
+        `offset`: the slack offset of each tendon in each trial, m.
         """
-        pulled = readings - offset
+        pulled = readings - offset[:, None]
         if "backlash" in parameters:
             pulled = jax.vmap(partial(_with_backlash, parameters["backlash"]))(pulled)
         if self.time is not None:
@@ -249,7 +251,8 @@ def between(course: Course, points: int) -> tuple[Course, list[np.ndarray]]:
     first_row = np.cumsum([0, *sizes[:-1]])
     columns = [path[:, None] for path in paths]
     none = [0 * path for path in columns]
-    return _course(columns, none, trial, step, first_row, course.past, None, course.by_length, times or None), paths
+    found = _course(columns, none, trial, step, first_row, course.past, None, course.by_length, times or None)
+    return replace(found, number=course.number), paths
 
 
 def _course(

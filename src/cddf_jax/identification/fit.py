@@ -40,6 +40,7 @@ from .parameters import (
     parameter_named,
     starting_value,
     stiffness_parameter,
+    trial_of,
     with_parameters,
 )
 from .predictions import (
@@ -303,7 +304,8 @@ def fit(
             is found from the readings), the direction of gravity (`gravity_turn_x`, ...), and errors of dimensions
             (`outer_radius_error`, `tendon_angle_error`), best with priors. With a history it may be friction besides
             that of tendons on the body (`friction_moment`, `outside_friction`, `outside_drag`), of tendons driven by
-            displacement what stands between motor and body (`slack_offset`, `outside_compliance`, `backlash`, `lag`),
+            displacement what stands between motor and body (`slack_offset`, `outside_compliance`, `backlash`, `lag`;
+            `slack_offset_trial_2` in trial 2 alone, of all tendons, `slack_offset_1_trial_2` of tendon 1),
             or `before` (`before_2` for trial 2), the largest base tension before the first row, N; of several tendons
             that of tendon 1 before it, and `before_tendon_2` (`before_tendon_2_3` for trial 3).
         priors: by parameter, mean and standard deviation of a Gaussian, SI units.
@@ -441,9 +443,18 @@ def _courses(
             raise InputError(what, remedy="add a column step or time, or give history=True (--history)")
     stepped = setting.loads is not None or bool({*along} & {*RUBBING})
     how = {"stepped": stepped, "timed": "lag" in along}
+    ends = np.cumsum([0, *(len(table.trial_labels) for table in tables)])
+    for name in (*free, *setting.given):
+        if (trial := trial_of(name)) is not None and trial > ends[-1]:
+            what = f"{name} belongs to trial {trial}, but the tables have {ends[-1]}"
+            raise InputError(what, remedy="number the trials of all tables from 1, in their order")
     courses = [
         course_of(table, noise, own, short_steps, paths=rows, **how) if rows else None
         for table, rows, own in zip(tables, paths, starts, strict=True)
+    ]
+    courses = [
+        course and (replace(course[0], number=end + 1 + table.trial[course[0].first_row]), course[1])
+        for end, table, course in zip(ends, tables, courses, strict=False)
     ]
     known = [(own, course[0]) for own, course in zip(starts, courses, strict=True) if course]
     first = [(own, np.asarray(course.readings)[:, 0]) for own, course in known]

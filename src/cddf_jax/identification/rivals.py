@@ -86,6 +86,7 @@ def rivals_of(fit: LeastSquaresFit, tables: Sequence[Measurements], model: Bench
         noise = {column: value for column, value in options["noise"].items() if kind_of_set(column) in SET}
         how = {"short_steps": options["short_steps"], "stepped": True, "timed": timed}
         course, _ = course_of(table, noise, paths=paths_of(table, options["history"]), **how)
+        course = replace(course, number=None if one.course is None else one.course.number)
         bench = replace(one, course=course, name=one.name)
         slopes[name] = bench.evaluate(model.manipulator, parameters, model.nodes).derivatives
     ends = np.cumsum([np.size(parameters[name]) for name in sorted(parameters)])  # in the flat order
