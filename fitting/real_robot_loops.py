@@ -100,7 +100,9 @@ def fit(loops: list[cddf.Measurements], model: str) -> cddf.Fit:
     bench = ["outside_compliance", *(f"camera_{axis}" for axis in "xyz"), "camera_turn_y", "camera_turn_z", *own]
     friction = 0.1 if "friction_coefficient" in MODELS[model] else 0.0
     free = [*bench, *MODELS[model]]
-    return cddf.fit(robot(loops, friction), one_history(loops), free, noise=EXACT, nodes=NODES, short_steps=STEPS)
+    return cddf.fit(
+        robot(loops, friction), one_history(loops), free, noise=EXACT, nodes=NODES, short_steps=STEPS, starts=1
+    )
 
 
 def misfit(found: cddf.Fit) -> float:
