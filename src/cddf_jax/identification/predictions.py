@@ -171,6 +171,8 @@ def tip_misfits(fit: "Fit") -> dict[str, TipMisfit]:
             for of in (fit.residuals, {group.label: group.observed for group in groups.values()})
         )
         place = read - off
+        if not np.all(np.isfinite(place)):
+            continue
         _, sizes, axes = np.linalg.svd(place - place.mean(axis=0), full_matrices=False)
         if len(place) > 3 and sizes[2] < FLAT * sizes[1]:
             across = np.mean((off @ axes[2]) ** 2)
