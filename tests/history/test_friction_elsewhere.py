@@ -130,3 +130,20 @@ def test_lanes_of_a_batch():
 def test_solve_refuses_what_has_a_history():
     for robot in (body(moment=MOMENT), body(outside_friction=0.1), body(outside_drag=0.1)):
         assert "use trace" in refused(partial(cddf.solve, robot, 1.0))
+
+
+def test_slack_tendons_are_dragged_along():
+    """Where the body takes up a slack tendon, its friction outside holds it with 0.1 N; elsewhere nothing does."""
+    angles, ends = np.radians([-175.4, -55.2, 58.6, -143.9, -33.0, 91.7, -128.5]), [0.06] * 3 + [0.1225] * 3 + [None]
+    tendons = [
+        cddf.Tendon(0.0045, end=end, angle=float(angle), outside_drag=0.1, outside_compliance=1.5e-4)
+        for angle, end in zip(angles, ends, strict=True)
+    ]
+    rod = cddf.Manipulator(0.188, 5e-4, 0.0, tendons=tendons, youngs_modulus=50e9, friction_coefficient=0.0)
+    pulled, slack = 1e-3 * np.array([1.5, 3.0, 4.2, 3.7, 3.2]), np.full(5, -0.01)
+    found = cddf.trace(rod, [*map(cddf.Displacement, [pulled, *[slack] * 6])], nodes=4, short_steps=2, throw=False)
+    lost = np.asarray(found.base_tension - found.tip_tension)
+    np.testing.assert_allclose(lost[:, 0], [0.1, 0.1, 0.1, -0.1, -0.1], atol=1e-6)
+    assert np.all(lost[:, 1:] > -0.1 - 1e-6)
+    assert np.all(lost[:, 1:] < 1e-6)
+    assert np.any(lost[:, 1:] < -0.05)

@@ -48,6 +48,7 @@ class _Law(NamedTuple):
     level: PerElement
     slope: PerElement  # 1/m
     slip: PerElement  # m
+    share: PerElement  # z
 
 
 class _Search(NamedTuple):
@@ -151,7 +152,7 @@ def _strain(setting: Setting, nodes: Node, elastic: Number | float) -> PerElemen
 def _law(setting: Setting, state: _Search) -> _Law:
     size = jnp.sqrt(1.0 + state.strain**2)
     level = state.strain / size
-    return _Law(level, (1.0 - state.share * level) / (size * state.elastic), state.nodes.slip[1:])
+    return _Law(level, (1.0 - state.share * level) / (size * state.elastic), state.nodes.slip[1:], state.share)
 
 
 def _share(setting: Setting, nodes: Node) -> PerElement:
@@ -206,7 +207,7 @@ def _rows(grid: Grid, element: Element, law: _Law, start: Node, end: Node) -> Ar
     limit = lacks.limit
     if grid.sections.drag is not None or grid.outside is not None:  # it takes no more than the tension
         left = jnp.maximum(start.tension, 0.0)
-        limit = jnp.where((law.level > 0) & (limit > left), left, limit)
+        limit = jnp.where((law.share > 0) & (limit > left), left, limit)
     coulomb = lacks.drop - limit * (law.level + law.slope * (end.slip - law.slip))
     parts = lacks.slip / grid.scale, coulomb / (1.0 + law.slope * grid.scale), lacks.heading, lacks.moment
     return jnp.concatenate([jnp.ravel(part) for part in parts if part is not None])
