@@ -49,6 +49,7 @@ benchmark: .venv/ready  ## accuracy and time of the methods, into out/benchmark/
 	$(BIN)/python benchmarks/interval_coverage.py
 	$(BIN)/python benchmarks/held_samples.py
 	$(BIN)/python benchmarks/loop_coverage.py
+	$(BIN)/python benchmarks/driven_coverage.py --tendons 1
 	$(BIN)/python benchmarks/loop_checks.py
 	$(BIN)/python benchmarks/standard_errors.py
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[benchmark]"

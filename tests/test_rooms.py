@@ -45,7 +45,6 @@ IN_ANNOTATIONS = {
     ("sweeping/checks", "sweeping/sweep"),
     ("estimation/remarks", "estimation/least_squares"),
     ("identification/camera", "identification/fit"),
-    ("identification/order_checks", "identification/fit"),
     ("identification/predictions", "identification/fit"),
     ("identification/verdict", "identification/fit"),
     ("designing/report", "designing/pareto"),
