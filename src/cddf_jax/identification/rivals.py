@@ -137,8 +137,7 @@ def _rival(fit: LeastSquaresFit, name: str, column: np.ndarray) -> Rival | None:
         before, after = float(own @ own), float(rest @ rest)
         gain += own.size * np.log(before / after) if estimated else before - after
     place = fit.names.index(FRICTION)
-    unit, error = float(evidence.size[place]), float(np.sqrt(np.linalg.pinv(both.T @ both)[place, place]))
-    friction = fit.value[FRICTION] + float(step[place]) * unit
-    return Rival(
-        name, value, float(gain), friction, error * unit, error / float(evidence.spectrum.relative_error[place])
-    )
+    error = float(np.sqrt(np.linalg.pinv(both.T @ both)[place, place]))
+    friction = fit.value[FRICTION] + float(step[place] * evidence.size[place])
+    wider = error / float(evidence.spectrum.relative_error[place])
+    return Rival(name, value, float(gain), friction, wider * fit.standard_error[FRICTION], wider)
