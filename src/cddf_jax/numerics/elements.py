@@ -143,7 +143,7 @@ def _gains_by_sign(rate: Float[Array, "p *k"], values: Float[Array, "p *k"]) -> 
     return jnp.where(left, -signed, signed)
 
 
-def _along(numbers: np.ndarray, like: Float[Array, "q *k"]) -> Float[Array, "q *_"]:
+def _along(numbers: np.ndarray, like: Float[Array, "_ *k"]) -> Float[Array, "q *_"]:
     return jnp.asarray(numbers.reshape(-1, *[1] * (like.ndim - 1)), like.dtype)
 
 
