@@ -1,9 +1,12 @@
 """Study: what makes the loops of a real robot that is driven by displacement? Nine tendons, pulled and released.
 
-All nine loops are fitted at once, in space, as one history: the body begins each loop in the shape in which the loop
-before left it. The bench has one compliance outside the body, one camera, and for each tendon its slack offset and its
-angle around the axis, which the data themselves suggest. The tendons that are not pulled hang slack. There is no load
-cell, so that modulus and compliance are known as a product only; the modulus is that assumed by the origin of the data.
+All nine loops are fitted at once, in space. The bench has one compliance outside the body, one camera, and for each
+tendon its slack offset and its angle around the axis, which the data themselves suggest. The tendons that are not
+pulled hang slack. There is no load cell, so that modulus and compliance are known as a product only; the modulus is
+that assumed by the origin of the data.
+
+Each loop begins with the straight body. With `--one-history` it begins in the shape in which the loop before left the
+body; then all nine tendons are followed at once, and a model takes half an hour.
 
 What is compared: no friction, the friction of tendons on the body, a lag of the body behind its motors, a constant
 friction of the tendon outside the body, and a constant friction moment of the body.
@@ -11,6 +14,7 @@ friction of the tendon outside the body, and a constant friction moment of the b
 A second robot (`data/opencr_v6`) has loops that run backwards. No model explains them, and the fit says so.
 """
 
+import argparse
 import csv
 from pathlib import Path
 
@@ -31,7 +35,7 @@ ENDS = (0.060, 0.1225, 0.1865)  # m, of the segments
 LENGTH = 0.18825  # m, up to the marker
 RADIUS, MODULUS = 0.0005, 50e9  # m, Pa, of the rod; the modulus was assumed by the origin of the data
 OFFSET = 0.0045  # m
-NODES, STEPS = 8, 2  # the error of these few is told with the results
+USUAL, FEW = (16, 4), (8, 2)  # nodes and short steps; the error of few is told with the results
 EXACT = {"displacement": 0.0}
 MODELS = {
     "no friction": (),
@@ -94,15 +98,24 @@ def robot(loops: list[cddf.Measurements], friction: float = 0.0) -> cddf.Manipul
     )
 
 
-def fit(loops: list[cddf.Measurements], model: str) -> cddf.Fit:
-    """All loops by one model. The turn of the camera about the axis is that of all tendons, so it is not fitted."""
+def fit(loops: list[cddf.Measurements], model: str, *, chained: bool = False) -> cddf.Fit:
+    """All loops by one model, each for itself or as one history.
+
+    The turn of the camera about the axis is that of all tendons, so it is not fitted.
+    """
     own = [f"{name}_{i}" for name in ("slack_offset", "tendon_angle_error") for i in range(1, len(loops) + 1)]
     bench = ["outside_compliance", *(f"camera_{axis}" for axis in "xyz"), "camera_turn_y", "camera_turn_z", *own]
     friction = 0.1 if "friction_coefficient" in MODELS[model] else 0.0
     free = [*bench, *MODELS[model]]
-    return cddf.fit(
-        robot(loops, friction), one_history(loops), free, noise=EXACT, nodes=NODES, short_steps=STEPS, starts=1
-    )
+    tables, (nodes, steps) = ([one_history(loops)], FEW) if chained else (loops, USUAL)
+    body = robot(loops, friction)
+    return cddf.fit(body, tables, free, noise=EXACT, nodes=nodes, short_steps=steps, starts=1)
+
+
+def misfits(found: cddf.Fit, loops: list[cddf.Measurements]) -> list[np.ndarray]:
+    """By loop, (rows, 3), measured less predicted places of the tip, m."""
+    columns = [np.concatenate([found.residuals[f"{table.name}: {c}"] for table in found.tables]) for c in TIP]
+    return np.split(np.stack(columns, axis=1), np.cumsum([len(table) for table in loops])[:-1])
 
 
 def misfit(found: cddf.Fit) -> float:
@@ -122,7 +135,6 @@ def numbers(model: str, found: cddf.Fit) -> dict[str, float | str]:
 
 def figure(loops: list[cddf.Measurements], found: dict[str, cddf.Fit]) -> Figure:
     """How far the tip is from its place at the beginning, over the displacement; a tendon in each panel."""
-    ends = np.cumsum([len(table) for table in loops])
     with draw.house_style():
         drawn = draw.new_figure(draw.DOUBLE_COLUMN, 5.2)
         panels = drawn.subplots(3, 3).ravel().tolist()
@@ -131,8 +143,7 @@ def figure(loops: list[cddf.Measurements], found: dict[str, cddf.Fit]) -> Figure
             x = 1e3 * table[pulled_by(table)]
             axes.plot(x, 1e3 * np.linalg.norm(read - read[0], axis=1), "o", color=looks.BLACK, label="measured")
             for model, colour in DRAWN.items():
-                off = np.stack([found[model].residuals[f"v4: {column}"] for column in TIP], axis=1)
-                tip = read - off[ends[number - 1] - len(table) : ends[number - 1]]
+                tip = read - misfits(found[model], loops)[number - 1]
                 axes.plot(x, 1e3 * np.linalg.norm(tip - read[0], axis=1), color=colour, label=model)
             axes.set_title(f"tendon {number}")
         for axes in panels[6:]:
@@ -164,11 +175,14 @@ def refusal() -> str:
 
 
 if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--one-history", action="store_true", help="follow all loops one after the other")
+    chained = parser.parse_args().one_history
     configure_jax()
     loops = read()
     found = {}
     for model in MODELS:
-        found[model] = fit(loops, model)
+        found[model] = fit(loops, model, chained=chained)
         line = numbers(model, found[model])
         print(
             ", ".join(f"{key} {value:.4g}" if isinstance(value, float) else f"{value}" for key, value in line.items())
