@@ -51,7 +51,7 @@ def test_fit_of_two_tables_in_json_and_files(answer_of, tmp_path, said):
     tables = [cddf.read_measurements(path) for path in (PULLEY, LOAD_CELLS)]
     assert_the_fit(answer, cddf.fit(cddf.read_manipulator(PAPER), tables))
     assert answer["status"] == dict.fromkeys(BOTH, "identified")
-    assert {(stage.what, stage.done, stage.total) for stage in said} >= {("profile", 1, 2), ("figure", 3, 4)}
+    assert {(stage.what, stage.done, stage.total) for stage in said} >= {("profile", 1, 2), ("file", 4, 5)}
     stems = ("fit_pulley_simulated", "fit_load_cells_simulated", "residuals", "profiles")
     figures = {f"{stem}.{suffix}" for stem in stems for suffix in ("pdf", "png")}
     assert {path.name for path in tmp_path.iterdir()} == {"results.json", "report.md", *figures}
