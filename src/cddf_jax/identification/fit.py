@@ -156,7 +156,8 @@ class Fit(LeastSquaresFit):
                 column of a marker of the data, "x@120mm".
             base_tension: N, (rows,) where every tendon has the same tension, or (rows, tendons).
             tip_force: N, (2,) or (rows, 2), of a body in space (3,) or (rows, 3).
-            displacement: m, as the encoders read, in place of base tensions and in the same shapes.
+            displacement: m, as the encoders read, in place of base tensions and in the same shapes. The slack offsets
+                are those of all trials, not those of one trial alone.
             time: s, (rows,), of a path by displacement; needed where the fit knows a lag.
             history: whether the rows are a path, pulled and released in this order; every turn counts. Else
                 each row is an equilibrium of its own, with the directions that `solve` finds; by displacement it is

@@ -35,6 +35,7 @@ LARGEST_FRICTION = 2.0  # a larger coefficient gives a warning
 CHANCE = 1e-3  # p-value below which residuals drift, or differ from trial to trial
 SHOWN = 4  # levels that a warning names
 LARGEST_MOVE = 0.5  # standard errors; a larger error by increments gives a warning
+MOST_ALIKE = 0.999  # a correlation of neighbours that is counted; at 1 nothing would be known
 LEAST_RESIDUAL = 0.1  # over the noise; smaller residuals that are alike make no error too small
 AGAINST = "tendons travel against the direction that was found for them"
 MOST = 0.5  # of a table's rows; with more rows without a solution the fit fails
@@ -216,8 +217,8 @@ def neighbours(residuals: Mapping[str, np.ndarray], groups: Sequence[Group]) -> 
     one, other = np.concatenate([np.zeros((2, 0)), *pairs], axis=1)
     size = float(np.sum(one**2 + other**2) / 2)
     correlation = float(one @ other) / size if size > 0 else 0.0
-    chance = one.size < LEAST_PAIRS or correlation <= ALARM / np.sqrt(one.size)
-    return (0.0 if chance or size < LEAST_RESIDUAL**2 * one.size else correlation), labels
+    clear = one.size >= LEAST_PAIRS and correlation > ALARM / np.sqrt(one.size) and size >= LEAST_RESIDUAL**2 * one.size
+    return (min(correlation, MOST_ALIKE) if clear else 0.0), labels
 
 
 def variance_of_neighbours(correlation: float) -> float:
