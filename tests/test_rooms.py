@@ -42,7 +42,6 @@ ON_DEMAND = {
 # named in annotations only: functions of a class whose methods call them
 IN_ANNOTATIONS = {
     ("measurements/table_warnings", "measurements/table"),
-    ("sweeping/checks", "sweeping/sweep"),
     ("estimation/remarks", "estimation/least_squares"),
     ("identification/camera", "identification/fit"),
     ("identification/predictions", "identification/fit"),

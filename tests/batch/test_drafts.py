@@ -26,9 +26,3 @@ def test_a_folder_is_tried_and_left_as_it_was(tmp_path):
     said = f"{tmp_path / 'file'}: is a file, and a folder is needed there; choose another place"
     assert refused(check_folder, tmp_path / "file" / "a") == refused(check_folder, tmp_path / "file") == said
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("file", "kept")]
-
-
-def test_a_name_that_the_file_system_does_not_take(tmp_path, monkeypatch):
-    """As in a locale of ASCII, which has no character beyond 127."""
-    monkeypatch.setattr("os.fsencode", lambda path: str(path).encode("ascii"))
-    assert refused(check_folder, tmp_path / "\u00e9").endswith("no file can have this name here; set a locale of UTF-8")

@@ -211,33 +211,6 @@ def test_the_mass_of_a_design():
     np.testing.assert_allclose(found, 0.15 * 0.8 * L + 0.030, rtol=1e-12)  # a line from 100 to 60 %, and the points
 
 
-def beside_radii(**changes: Any) -> cddf.Manipulator:
-    """Radii for drawing and strain, that do not stiffen."""
-    told = {"length": L, "tendons": (cddf.Tendon(0.006),), "friction_coefficient": 0.2, "bending_stiffness": 0.02}
-    return cddf.Manipulator(**told | {"outer_radius": cddf.Linear(0.01, 0.008, L), "inner_radius": 0.002} | changes)
-
-
-def checked(body: cddf.Manipulator, name: str, output: str = "tip_tension", **loads: Any) -> None:
-    from cddf_jax.sweeping.axes import dimensions_of
-    from cddf_jax.sweeping.checks import check_sweep
-    from cddf_jax.sweeping.sweep import Sweep
-
-    varied, given = dimensions_of({name: [0.006, 0.007]}), cddf.Loads(**loads) if loads else None
-    check_sweep(Sweep(manipulator=body, dimensions=varied, base_tension=1.0, loads=given, outputs=(output,)))
-
-
-def test_radii_that_change_nothing_do_not_vary():
-    body, fall = beside_radii(), {"gravity": (0.0, -9.81)}
-    for name in ("outer_radius.tip", "inner_radius.value"):
-        message = f"{name!r} has no effect here; the bending_stiffness of this body is given"
-        assert message in refused(lambda name=name: checked(body, name))
-        checked(beside_radii(density=1000.0), name, **fall)  # they weigh
-        assert message in refused(lambda name=name: checked(beside_radii(mass_per_length=0.1), name, **fall))
-        checked(beside_radii(bending_stiffness=None, youngs_modulus=1e6), name)  # they stiffen
-    checked(body, "outer_radius.tip", "peak_strain")
-    assert "has no effect" in refused(lambda: checked(body, "inner_radius.value", "peak_strain"))
-
-
 def test_the_strain_without_a_wall_is_refused():
     message = "peak_strain: the body has no outer_radius; give it both radii"
     assert message in refused(lambda: cddf.sweep(robot(), {"base_tension": [1.0]}, outputs=["peak_strain"]))

@@ -71,8 +71,6 @@ def test_components_that_the_plane_has_not_make_it_spatial():
             "the published kinematics are those of the plane",
         ),
         (THREE, {"axis": [1.0]}, {"base_tension": 5.0}, "a dimension cannot be called 'axis'; rename it"),
-        (paper_body("exact"), {"poissons_ratio": [0.3]}, {"base_tension": 5.0}, "'poissons_ratio' has no effect here"),
-        (THREE, {"axial_factor": [0.5]}, {"base_tension": 5.0}, "'axial_factor' has no effect here"),
     ],
 )
 def test_what_is_refused(body, axes, others, message):

@@ -51,10 +51,6 @@ def check_folder(folder: Path) -> None:
 
 def _missing(path: Path) -> list[Path]:
     """What is not there of a path and the folders above it, the innermost first."""
-    try:
-        os.fsencode(path)
-    except UnicodeEncodeError:
-        raise InputError("no file can have this name here", where=str(path), remedy="set a locale of UTF-8") from None
     chain = (path, *path.parents)
     missing = [each for each in chain if not os.path.lexists(each)]
     for folder in chain[len(missing) :]:

@@ -4,6 +4,7 @@ import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 from functools import cached_property
 from importlib.metadata import version
 from typing import TYPE_CHECKING
@@ -21,15 +22,17 @@ from ..errors import InputError, needed, within
 from ..mechanics.directions import as_directions, stated_directions
 from ..mechanics.march import FixedPoint
 from ..mechanics.problem import Method
+from ..numerics.given_numbers import check_numbers
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
+from ..robot.validation import check_loads
+from ..statics.arguments import refuse_batch
 from ..statics.equilibrium import Equilibrium
-from ..statics.named_numbers import Case, holds, of_tendon
-from ..statics.targets import Actuation
+from ..statics.named_numbers import Case, holds, of_tendon, stem_and_tendon
+from ..statics.targets import Actuation, Target, TipPosition
 from . import one_solve
-from .axes import PATH, Dimension, dimensions_of
-from .checks import check_sweep
-from .one_solve import RESULT, SUCCESSFUL, OneSolve, slope_name
+from .axes import ALONG_A_PATH, OPTIONS, PATH, RESERVED, Dimension, dimensions_of
+from .one_solve import IN_SPACE, OUTPUTS, RESULT, SUCCESSFUL, OneSolve, slope_name
 
 if TYPE_CHECKING:
     import xarray
@@ -195,7 +198,7 @@ class Sweep:
     @cached_property
     def layout(self) -> Layout:
         """The shape of the dataset, and its chunks."""
-        check_sweep(self)
+        _check(self)
         variables = self._variables()
         units = {name: self.case.unit(name) for dimension in self.dimensions for name in dimension.numbers}
         layout = Layout(
@@ -335,3 +338,105 @@ class Sweep:
             return output
         steps, own = len(self.dimensions), self.dimensions.index(self.path)
         return np.squeeze(np.swapaxes(output, own, steps), steps)
+
+
+# --- what is refused before anything is solved --------------------------------------------------------
+
+
+def _check_history(work: Sweep) -> None:
+    """Refuse what cannot be traced."""
+    among = [dimension.name for dimension in work.pulled]
+    if not among:
+        raise InputError('sweep: history needs the axis "base_tension", whose values are the path')
+    if work.path is None:
+        which = ", ".join(map(repr, among))
+        raise InputError(
+            f"sweep: base tensions vary along {which}; give as history the name of the axis that is the path "
+            "(--history-axis)"
+        )
+    beside = [name for name in (*work.path.numbers, *work.path.options) if not name.startswith(ALONG_A_PATH)]
+    if beside:
+        raise InputError(f"sweep: only base tensions and loads vary along a path, not {beside[0]}; give it an axis")
+    numbers = {name for d in work.dimensions for name in (*d.numbers, *d.options)}
+    given = {"direction": work.direction, "observables": work.observables or None}
+    others = [name for name, value in given.items() if value is not None]
+    others += [name for name in numbers if name.startswith(("direction", "method"))]
+    others += [name for name in work.sensitivities if name.startswith(ALONG_A_PATH)]
+    if others or not isinstance(work.method, FixedPoint):
+        what = others[0] if others else "method"
+        raise InputError(f"sweep: with history there is no {what}; leave it out")
+    entries = jax.tree.leaves(work.case.base_tension, is_leaf=lambda entry: isinstance(entry, Target))
+    if work.in_increments and any(isinstance(entry, Target | TipPosition) for entry in entries):
+        raise InputError("sweep: with history base_tension must hold tensions, N, in place of targets")
+
+
+def _check(work: Sweep) -> None:
+    """Refuse what cannot be solved or is not known; what `solve` and `trace` refuse themselves is not looked at."""
+    if not isinstance(work.manipulator, Manipulator):
+        raise InputError(
+            f"sweep: manipulator must be a Manipulator, such as that of read_manipulator, got {work.manipulator!r}"
+        )
+    if work.loads is not None and not isinstance(work.loads, Loads):
+        raise InputError(f"sweep: loads must be Loads, as in Loads(tip_force=(0.0, -1.0)), got {work.loads!r}")
+    check_numbers("sweep: base_tension", jax.tree.leaves(work.base_tension))
+    refuse_batch("sweep", work.manipulator)
+    if work.history:
+        _check_history(work)
+    known = {name for dimension in work.dimensions for name in (dimension.name, *dimension.numbers)}
+    if work.base_tension is not None and "base_tension" in known:
+        raise InputError("sweep: base_tension is given and an axis; leave one out")
+    for name in work.outputs:
+        if name not in work.known_outputs:
+            of = " of a history" if work.history else " in space" if work.case.in_space else ""
+            raise InputError(f"sweep: {name!r} is not an output{of}; there are {', '.join(work.known_outputs)}")
+    for name in (*work.outputs, *work.observables):
+        if name in known:
+            raise InputError(f"sweep: {name!r} is an axis and an output; take it out of the outputs")
+    for name in work.observables:
+        if name in OUTPUTS | IN_SPACE or name in RESERVED or "/" in name:
+            raise InputError(f"sweep: no observable can be called {name!r}; give it another name")
+        if not callable(work.observables[name]):
+            raise InputError(f"sweep: the observable {name!r} must be a function of an Equilibrium")
+    if not work.outputs and not work.observables:
+        raise InputError("sweep: nothing is asked for; name an output such as 'tip_tension'")
+    if not all(np.all(np.abs(stated) == 1) for stated in jax.tree.leaves(work.case.direction)):
+        raise InputError(f"sweep: direction is 1 for sliding in and -1 for sliding out, got {work.direction!r}")
+    _check_names(work, work.case)
+
+
+def _check_names(work: Sweep, case: Case) -> None:
+    """Refuse names that are not numbers of the case, and numbers that have no effect."""
+    swept = {name for dimension in work.dimensions for name in dimension.numbers}
+    for name in swept:
+        case.number(name)
+    for name, remedy in _idle(swept, case).items():
+        raise InputError(f"sweep: {name!r} has no effect here; {remedy}")
+    if case.base_tension is None and "base_tension" not in swept:
+        raise InputError("sweep: base_tension is neither given nor an axis; give one of the two")
+    for name in work.sensitivities:
+        if name in OPTIONS or stem_and_tendon(name)[0] == "direction":
+            raise InputError(f"sweep: nothing can be differentiated by {name!r}; take it out of the sensitivities")
+        if case.number(name) is None and name not in swept:
+            raise InputError(f"sweep: the case has no {name!r} to differentiate by; give it a value")
+        wider = [other for other in swept if holds(other, name) or holds(name, other)]
+        if wider:
+            close = get_close_matches(name, wider, 1) or wider
+            raise InputError(f"sweep: {name!r} and the axis {close[0]!r} overlap; differentiate by {close[0]!r} itself")
+
+
+def _idle(swept: set[str], case: Case) -> dict[str, str]:
+    """Numbers that seem to have no effect only because another one is given or missing, each with the remedy."""
+    found: dict[str, str] = {}
+    body, loads = case.manipulator, case.loads
+    for name in ("friction_coefficient", "drag"):
+        if name in swept and all(getattr(tendon, name) is not None for tendon in body.tendons):
+            found[name] = f"every tendon has its own; let 'tendons.0.{name}' vary"
+    gravity = {name for name in swept if name.startswith("loads.gravity.")}
+    masses = {name for name in swept if name.split(".")[0] in ("density", "mass_per_length", "point_masses")}
+    if masses and not gravity and (loads is None or not np.any(np.asarray(loads.gravity))):
+        found[min(masses)] = "there is no gravity; give loads=Loads(gravity=(0.0, -9.81))"
+    if gravity and not masses and not body.has_mass:
+        found[min(gravity)] = "the body has no weight; give it density, mass_per_length or point_masses"
+    if not masses and not gravity:
+        check_loads(body, loads)
+    return found
