@@ -37,7 +37,6 @@ ON_DEMAND = {
     ("robot/manipulator", "robot/validation"),
     ("statics/equilibrium", "statics/equilibrium_text"),
     ("designing/results", "designing/report"),
-    ("designing/pareto", "designing/report"),
 }
 # named in annotations only: functions of a class whose methods call them
 IN_ANNOTATIONS = {
@@ -46,7 +45,6 @@ IN_ANNOTATIONS = {
     ("identification/camera", "identification/fit"),
     ("identification/predictions", "identification/fit"),
     ("identification/verdict", "identification/fit"),
-    ("designing/report", "designing/pareto"),
 }
 HEAVY = {"matplotlib", "typer", "rich", "pint", "pandas", "xarray", "zarr", "scipy", "optimistix"}
 

@@ -68,6 +68,7 @@ _UNITS: dict[Dimension, _Units] = {
     "time": _Units("s", "s"),
     "energy": _Units("J", "mJ", "1e-3"),
     "strain": _Units("", "%", "1e-2"),
+    "dimensionless": _Units("", ""),
 }
 
 DIMENSION_OF: dict[str, Dimension] = {known.si: dimension for dimension, known in _UNITS.items() if known.si}
@@ -104,7 +105,7 @@ def quantity(text: object, dimension: Dimension, what: str) -> float:
     number, unit = match[1], match[2] or match[3]
     if plain and unit:
         raise InputError(f"{what} is a plain number, got {text!r}; leave the unit {unit!r} out")
-    size = Decimal(1) if plain else _size_in_si(unit or "", dimension, what, f"got {text!r}", example)
+    size = _size_in_si(unit or "", dimension, what, f"got {text!r}", example)
     value = float(_DECIMAL.multiply(_DECIMAL.create_decimal(number), size))
     if not math.isfinite(value):
         raise InputError(f"{what} must be finite, got {text!r}; write for example {example}")
@@ -214,15 +215,13 @@ def round_number(value: float) -> float:
 
 def preferred(dimension: Dimension) -> tuple[float, str]:
     """The factor from the SI unit to the preferred unit, and this unit; 1 and "" for a plain number."""
-    if dimension == "dimensionless":
-        return 1.0, ""
     known = _UNITS[dimension]
     return float(1 / Decimal(known.size)), known.preferred
 
 
 def si_unit(dimension: Dimension) -> str:
     """The unit of SI numbers; "1" for a plain number."""
-    return "1" if dimension == "dimensionless" else _UNITS[dimension].si or "1"
+    return _UNITS[dimension].si or "1"
 
 
 def _size_in_si(unit: str, dimension: Dimension, what: str, got: str, example: str) -> Decimal:

@@ -84,5 +84,5 @@ def test_tendons_and_profiles():
     assert second == "tendon 2: offset 12 mm at the base, 9 mm at s = 140 mm, side -1"
     assert third == (
         "tendon 3: offset 10 mm at the base, 10 mm at s = 100 mm (from 10 mm to 11 mm), side -1, "
-        "friction_coefficient 0.3, end 100 mm"
+        "end 100 mm, friction_coefficient 0.3"
     )

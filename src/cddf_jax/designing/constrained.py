@@ -104,7 +104,6 @@ def minimise_constrained(
     upper: Vector,
     *,
     max_iterations: int = 300,
-    after: Callable[[Point], None] = lambda point: None,
 ) -> LocalMinimum:
     """Search from one start with SLSQP.
 
@@ -113,7 +112,6 @@ def minimise_constrained(
         start: (unknowns,), usable.
         lower, upper: bounds of the unknowns, infinite for none.
         max_iterations: at most.
-        after: called after every iteration with its point.
     """
     seen = _Seen(function, np.clip(start, lower, upper))
     with np.errstate(all="ignore"):
@@ -127,7 +125,6 @@ def minimise_constrained(
                 {"type": "eq", "fun": lambda x: seen(x).equality, "jac": lambda x: seen(x).equality_slopes},
             ],
             method="SLSQP",
-            callback=lambda x: after(seen(x)),
             options={"maxiter": max_iterations, "ftol": 1e-14},
         )
     last = seen(np.clip(found.x, lower, upper))
@@ -178,25 +175,20 @@ def optimality(point: Point, lower: Vector, upper: Vector) -> Optimality:
     return Optimality(residual, inequality, bounds[0], bounds[1], equality, active, slopes[active])
 
 
-def relaxed(function: VectorFunction) -> VectorFunction:
-    """The problem of the least violation: one more unknown, the last, by which each limit may be violated.
+def least_violation(function: VectorFunction, start: Vector, lower: Vector, upper: Vector) -> LocalMinimum:
+    """The point that violates the limits least; its objective is the largest violation there.
 
-    The objective is this unknown. Its minimum is the least violation possible, and the multipliers there show which
-    limits contradict each other. The inequalities are those of the function, then its equalities from above, then
+    One more unknown, the last, is how much each limit may be violated, and this unknown is made small. The multipliers
+    show which limits contradict each other: first those of the inequalities, then of the equalities from above, then
     from below.
     """
 
-    def values(x: Vector) -> Point:
+    def relaxed(x: Vector) -> Point:
         inner, by = function(x[:-1]), float(x[-1])
         margins = np.concatenate([inner.inequality, inner.equality, -inner.equality]) + by
         slopes = np.concatenate([inner.inequality_slopes, inner.equality_slopes, -inner.equality_slopes])
         slopes = np.column_stack([slopes, np.ones(margins.size)])
         return Point(x, by, np.eye(x.size)[-1], margins, slopes, np.zeros(0), np.zeros((0, x.size)), inner.usable)
 
-    return values
-
-
-def least_violation(function: VectorFunction, start: Vector, lower: Vector, upper: Vector) -> LocalMinimum:
-    """The minimum of `relaxed`: the point that violates the limits least. Its objective is the largest violation."""
     first = np.append(start, function(start).violation)
-    return minimise_constrained(relaxed(function), first, np.append(lower, 0.0), np.append(upper, np.inf))
+    return minimise_constrained(relaxed, first, np.append(lower, 0.0), np.append(upper, np.inf))

@@ -8,10 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..errors import InputError
+from ..files.writing import markdown_table
 from ..robot.manipulator import Manipulator
-from ..units import Dimension
+from ..units import Dimension, shown
 from .design import Aim, DesignOptions, problem_of, weighted
-from .free_numbers import Bounds
+from .free_numbers import Bounds, number_in_words
 from .load_cases import LoadCase
 from .objectives import Limit
 from .problem import DesignProblem
@@ -39,9 +40,27 @@ class ParetoFront:
         return all(design.success for design in self.designs)
 
     def __str__(self) -> str:
-        from .report import front_in_words
+        """The front as Markdown."""
+        head = [f"# Trade-off: {self.names[0]} against {self.names[1]}", ""]
+        head += [f"- {remark}" for remark in self.remarks] + ([""] if self.remarks else [])
+        numbers = [*self.names, *self.designs[0].free]
+        rows = []
+        for found in self.designs:
+            pair = [shown(each.end, each.dimension) for each in found.objectives]
+            rows.append([*pair, *(number_in_words(name, value) for name, value in found.value.items()), found.result])
+        return "\n".join(head + markdown_table([*numbers, ""], rows, right=numbers))
 
-        return front_in_words(self)
+    def as_dict(self) -> dict[str, object]:
+        """The front for JSON, SI units."""
+        return {
+            "objectives": list(self.names),
+            "start": list(self.start),
+            "values": self.values,
+            "success": self.success,
+            "remarks": list(self.remarks),
+            "result": "successful" if self.success else "some points of the front were not found",
+            "designs": [{"result": found.result, "value": found.value} for found in self.designs],
+        }
 
 
 def pareto_front(

@@ -1,8 +1,7 @@
-"""A design and a trade-off in words, as Markdown, and as numbers for JSON."""
+"""A design in words, as Markdown, and as numbers for JSON."""
 
 from collections.abc import Iterator
 from dataclasses import fields
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,9 +10,6 @@ from ..units import Dimension, preferred, shown
 from .constrained import TOLERANCE
 from .free_numbers import dimension_of_number, number_in_words
 from .results import Design, FreeNumber, LimitReport, fixed_numbers
-
-if TYPE_CHECKING:
-    from .pareto import ParetoFront
 
 LARGEST = 12  # sensitivities in the report
 NOT_IN_JSON = ("manipulator", "start", "cases", "outcome")
@@ -151,29 +147,4 @@ def design_as_dict(found: Design) -> dict[str, object]:
     return own | {
         "sensitivity": found.sensitivity if _follows(found) else {},
         "choices": [{"numbers": values, "objective": objective} for values, objective in found.choices],
-    }
-
-
-def front_in_words(front: "ParetoFront") -> str:
-    """The front as Markdown."""
-    lines = [f"# Trade-off: {front.names[0]} against {front.names[1]}", ""]
-    lines += [f"- {remark}" for remark in front.remarks] + ([""] if front.remarks else [])
-    numbers = [*front.names, *front.designs[0].free]
-    rows = []
-    for found in front.designs:
-        pair = [shown(each.end, each.dimension) for each in found.objectives]
-        rows.append([*pair, *(number_in_words(name, value) for name, value in found.value.items()), found.result])
-    return "\n".join(lines + markdown_table([*numbers, ""], rows, right=numbers))
-
-
-def front_as_dict(front: "ParetoFront") -> dict[str, object]:
-    """A front for JSON, SI units."""
-    return {
-        "objectives": list(front.names),
-        "start": list(front.start),
-        "values": front.values,
-        "success": front.success,
-        "remarks": list(front.remarks),
-        "result": "successful" if front.success else "some points of the front were not found",
-        "designs": [{"result": found.result, "value": found.value} for found in front.designs],
     }

@@ -135,11 +135,8 @@ class DesignSearch:
         """One search; if limits are broken at its end, another one from the point that breaks them least."""
 
         def minimum(x: np.ndarray) -> LocalMinimum:
-            def after(point: Point) -> None:
-                now.what = f"searching: objective {point.objective:.6g}, violation {point.violation:.2g}"
-
-            with stage("searching") as now:
-                return minimise_constrained(problem, x, *self.bounds, max_iterations=self.max_iterations, after=after)
+            with stage("searching"):
+                return minimise_constrained(problem, x, *self.bounds, max_iterations=self.max_iterations)
 
         local = minimum(x)
         if local.feasible:

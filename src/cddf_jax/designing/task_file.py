@@ -167,14 +167,13 @@ def _formed(body: Manipulator, name: str, entry: Table) -> Manipulator:
 
 def _case(table: Table, body: Manipulator, gravity: tuple[float, ...] | None) -> LoadCase:
     """A case; `gravity` is that of the robot's file, m/s^2."""
-    texts = table["base_tension"] if isinstance(table["base_tension"], list) else [table["base_tension"]]
     direction = table.get("direction")
     loads = {key: _text(table, key) if key in table else None for key in ("tip_force", "tip_moment", "gravity")}
     numbers = _entries(table, "numbers") if "numbers" in table else {}
     for name in numbers:
         case_numbers(body).number(name)
     return LoadCase(
-        read_actuation([str(text) for text in texts], body, called=str),
+        read_actuation(_texts(table, "base_tension"), body, called=str),
         read_loads(**loads, points=_texts(table, "point_loads"), mounted=gravity, called=str),
         read_directions(direction if isinstance(direction, list | None) else [direction], body, called=str),
         {name: quantity(value, dimension_of_number(name), name) for name, value in numbers.items()},
@@ -196,8 +195,7 @@ def _uncertain(
         _check("uncertain", table)
         num, seed = _whole(table, "num", 16), _whole(table, "seed", 0)
         columns = {name: str(meant) for name, meant in _entries(table, "columns").items()} if "columns" in table else {}
-    files = table["data"] if isinstance(table["data"], list) else [table["data"]]
-    tables = read_tables([folder / str(file) for file in files], columns)
+    tables = read_tables([folder / file for file in _texts(table, "data")], columns)
     found = fit(body, tables, setting=BenchSetting(read_loads(None, None, None, mounted=gravity)))
     every = tuple(each for case in cases for each in uncertain_cases(case, found, num, seed))
     return every, tuple(line for table in tables for line in table.read_as)

@@ -2,7 +2,7 @@
 
 from .. import figures
 from ..designing.pareto import ParetoFront
-from ..designing.report import design_as_dict, design_in_words, front_as_dict, front_in_words
+from ..designing.report import design_as_dict, design_in_words
 from ..designing.results import Design
 from ..designing.task_file import DesignTask
 from ..files.cross_sections import cross_sections_csv
@@ -27,7 +27,7 @@ def design_report(task: DesignTask, found: Design) -> Report:
 
 def trade_off_report(task: DesignTask, front: ParetoFront) -> Report:
     """A trade-off; the files hold the manipulators of the points that keep to all limits."""
-    answer, text = front_as_dict(front), front_in_words(front)
+    answer, text = front.as_dict(), str(front)
 
     def files() -> dict[str, Content]:
         from ..figures.style import figure_of

@@ -1,7 +1,7 @@
 """The manipulator: a conical or free-form body, its tendons and its material, as one pytree."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import equinox as eqx
@@ -13,7 +13,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from ..errors import InputError
 from ..numerics.arrays import cos_sin, words_or_shapes
-from ..quantities import dimension_of
+from ..quantities import QUANTITIES, dimension_of
 from ..units import shown
 from .cross_section import CrossSection, Kinematics, SpatialSection
 from .profiles import (
@@ -569,20 +569,10 @@ def _taper(name: str, value: Any, length: ArrayLike) -> Constant | Linear:
 
 # --- what `print` shows --------------------------------------------------------------------------
 
-_TOLD_PROFILES = (
-    *("outer_radius", "inner_radius", "bending_stiffness", "torsional_stiffness", "axial_stiffness", "shear_stiffness"),
-    *("mass_per_length", "youngs_modulus"),
-)
 _STRAINS = ("twist", "about y", "about z")
 _TOLD_IF_ZERO = ("friction_coefficient", "poissons_ratio")
-_TOLD_MATERIAL = (
-    *("youngs_modulus", "stiffness_factor", "friction_coefficient", "density", "drag", "friction_moment"),
-    "yield_strain",
-)
-_TOLD_OF_TENDON = (
-    *("friction_coefficient", "end", "axial_stiffness", "free_length", "drag"),
-    *("outside_compliance", "outside_friction", "outside_drag"),
-)
+_OF_SPACE = ("poissons_ratio", "axial_factor", "shear_factor")
+_BESIDE = ("length", "offset", "angle", "rest_curvature")  # have words of their own
 
 
 def _in_words(manipulator: Manipulator) -> str:
@@ -593,24 +583,17 @@ def _in_words(manipulator: Manipulator) -> str:
     """
     if any(np.ndim(number) for number in (manipulator.length, manipulator.friction_coefficient)):
         raise TypeError("a batch has no words")
-    length = float(manipulator.length)
-    varies, known, kind = callable(manipulator.youngs_modulus), _TOLD_MATERIAL, f"{manipulator.kinematics} kinematics"
+    length, kind = float(manipulator.length), f"{manipulator.kinematics} kinematics"
     if manipulator.in_space:
-        known = (*known[:2], "axial_factor", "shear_factor", "poissons_ratio", *known[2:])
         kind = "in space, its axis stretches and shears" if manipulator.extensible else "in space"
+    told = _told(manipulator, length, () if manipulator.in_space else _OF_SPACE)
+    rest = zip(_STRAINS, manipulator.rest_curvature or (), strict=False)
     return "\n".join(
         [
             f"Manipulator of {shown(length, 'length')}, {kind}",
-            *(
-                f"{name} {profile_in_words(as_profile(getattr(manipulator, name)), length, dimension_of(name))}"
-                for name in _TOLD_PROFILES
-                if getattr(manipulator, name) is not None and (name != "youngs_modulus" or varies)
-            ),
-            *(
-                f"rest_curvature {name} {profile_in_words(part, length, 'curvature')}"
-                for name, part in zip(_STRAINS, manipulator.rest_curvature or (), strict=False)
-            ),
-            ", ".join(_numbers(manipulator, known[1:] if varies else known)),
+            *(words for words, varies in told if varies),
+            *(f"rest_curvature {name} {profile_in_words(part, length, 'curvature')}" for name, part in rest),
+            ", ".join(words for words, varies in told if not varies),
             *(
                 f"point mass {i}: {shown(point.mass, 'mass')} at s = {shown(point.arc_length, 'length')}"
                 for i, point in enumerate(manipulator.point_masses, 1)
@@ -620,20 +603,23 @@ def _in_words(manipulator: Manipulator) -> str:
     )
 
 
-def _numbers(owner: Manipulator | Tendon, names: Sequence[str]) -> list[str]:
-    """Names and numbers that are given; zero counts as not given, except for `_TOLD_IF_ZERO`."""
-    values = {name: getattr(owner, name) for name in names}
-    return [
-        f"{name} {shown(value, dimension_of(name))}"
-        for name, value in values.items()
-        if value is not None and (value or name in _TOLD_IF_ZERO)
-    ]
+def _told(owner: Manipulator | Tendon, length: float, left_out: Sequence[str] = ()) -> list[tuple[str, bool]]:
+    """What is given, in the order of the fields, and whether it is a profile; a number that is 0 is mostly left out."""
+    told = []
+    for name in (field.name for field in fields(owner)):
+        value = getattr(owner, name)
+        if name not in QUANTITIES or name in (*_BESIDE, *left_out) or value is None:
+            continue
+        if callable(value):
+            told.append((f"{name} {profile_in_words(value, length, dimension_of(name))}", True))
+        elif value or name in _TOLD_IF_ZERO:
+            told.append((f"{name} {shown(value, dimension_of(name))}", False))
+    return told
 
 
 def _tendon(tendon: Tendon, length: float) -> str:
     end = length if tendon.end is None else float(tendon.end)
-    offset = profile_in_words(tendon.offset, end)
-    place = (
-        f"side {tendon.side:+d}" if tendon.angle is None else f"angle {profile_in_words(tendon.angle, end, 'angle')}"
-    )
-    return ", ".join([f"offset {offset}", place, *_numbers(tendon, _TOLD_OF_TENDON)])
+    side = f"side {tendon.side:+d}"
+    place = side if tendon.angle is None else f"angle {profile_in_words(tendon.angle, end, 'angle')}"
+    numbers = (words for words, _ in _told(tendon, end))
+    return ", ".join([f"offset {profile_in_words(tendon.offset, end)}", place, *numbers])

@@ -18,7 +18,6 @@ from .profiles import Number, Piecewise, Polyline, Profile, Spline, breakpoints
 
 _SLACK = 1e-6  # of the length: finer than any workshop, coarser than the rounding of float32
 _POINTS = 1001
-_MEET = "make the pieces meet"
 _ABOVE_ZERO = (
     *("length", "youngs_modulus", "stiffness_factor", "axial_factor", "shear_factor", "yield_strain"),
     *("arc_length", "axial_stiffness", "end"),
@@ -197,10 +196,10 @@ def _check_tendon(name: str, manipulator: Manipulator, tendon: Tendon, s: np.nda
     by = "side=-1" if tendon.angle is None else "its angle"
     remedy = f"give the distance from the neutral axis, and the side by {by}"
     _demand((offset >= 0) | beyond, s, rule, lambda i: f"it is {_mm(offset[i])}", remedy)
-    _check_jumps(name, tendon, reach)
+    _check_jumps(f"{name}: offset", tendon.offset, reach, _mm, turns=False)
     if tendon.angle is not None:
         _values(f"{name}: angle", tendon.angle, s, beyond)
-        _check_turns(name, tendon.angle, reach)
+        _check_jumps(f"{name}: angle", tendon.angle, reach, _deg, turns=True)
     if outside_wall or not manipulator.has_radii:
         return
     outer, inner = evaluated(Manipulator.radii, manipulator, s)
@@ -214,20 +213,17 @@ def _check_tendon(name: str, manipulator: Manipulator, tendon: Tendon, s: np.nda
     _demand(inside | beyond, s, rule, found, remedy)
 
 
-def _check_jumps(name: str, tendon: Tendon, reach: float) -> None:
-    sides = _sides(breakpoints(tendon.offset), reach)
-    before, after = (_at(tendon.offset, side) for side in sides)
-    slack = _SLACK * np.maximum(reach, np.abs(before))  # a steep offset moves between the sides
-    meet, rule = np.abs(after - before) <= slack, f"{name}: offset must not jump"
-    _demand(meet, sides[0], rule, lambda i: f"it goes from {_mm(before[i])} to {_mm(after[i])}", _MEET)
+def _check_jumps(name: str, profile: Profile, reach: float, shown: Callable[[float], str], *, turns: bool) -> None:
+    """Refuse a jump, except by whole turns where `turns` says that it is an angle."""
+    sides = _sides(breakpoints(profile), reach)
+    before, after = (_at(profile, side) for side in sides)
+    jump = _least_turn(after - before) if turns else after - before
+    slack = _SLACK * np.maximum(1.0 if turns else reach, np.abs(before))  # a steep profile moves between the sides
 
+    def found(i: int) -> str:
+        return f"it goes from {shown(before[i])} to {shown(after[i])}"
 
-def _check_turns(name: str, angle: Profile, reach: float) -> None:
-    """Refuse a jump of an angle, except by whole turns."""
-    sides = _sides(breakpoints(angle), reach)
-    before, after = (_at(angle, side) for side in sides)
-    meet, rule = np.abs(_least_turn(after - before)) <= _SLACK * np.maximum(1.0, np.abs(before)), "angle must not jump"
-    _demand(meet, sides[0], f"{name}: {rule}", lambda i: f"it goes from {_deg(before[i])} to {_deg(after[i])}", _MEET)
+    _demand(np.abs(jump) <= slack, sides[0], f"{name} must not jump", found, "make the pieces meet")
 
 
 def _check_apart(manipulator: Manipulator, s: np.ndarray) -> None:
