@@ -53,7 +53,6 @@ def statics():
     cddf.iteration_history(robot, 20.0, nodes=8)
     cddf.closed_form_tension(robot, 20.0, 0.14)
     cddf.pulling_tension(10.0, 1.0, 0.42)
-    cddf.energy_balance(robot, 20.0, nodes=8, num_steps=4)
     cddf.tip_compliance(robot, 20.0, nodes=8)
     cddf.tip_jacobian(robot, 20.0, nodes=8)
     cddf.self_contact(eq)

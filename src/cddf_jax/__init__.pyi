@@ -61,9 +61,7 @@ from .statics.literal_iteration import (
     iteration_history as iteration_history,
 )
 from .statics.response import (
-    EnergyBalance as EnergyBalance,
     TipJacobian as TipJacobian,
-    energy_balance as energy_balance,
     tip_compliance as tip_compliance,
     tip_jacobian as tip_jacobian,
 )

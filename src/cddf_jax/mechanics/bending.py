@@ -241,14 +241,4 @@ def slip_rate(section: CrossSection, curvature: Number, tension: PerTendon, comp
     bend, slope = section.side * section.offset * curvature, section.offset_slope
     straight = jnp.sqrt(1.0 + slope**2)
     rate = bend * (2.0 - bend) / (straight + jnp.sqrt((1.0 - bend) ** 2 + slope**2))
-    return where_present(section, rate) + stretch_rate(compliance, tension * straight)
-
-
-def stretch_rate(compliance: PerTendon, tension: Array, section: CrossSection | None = None) -> Array:
-    """By how much a tendon stretches per length.
-
-    It is T / (E A) per length outside the body, and T sqrt(1 + d'^2) / (E A) per arc length within it. Half of this
-    times T is the elastic energy of the tendon per length.
-    """
-    along = tension if section is None else tension * jnp.sqrt(1.0 + section.offset_slope**2)
-    return along * compliance
+    return where_present(section, rate) + tension * straight * compliance
