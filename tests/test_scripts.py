@@ -46,6 +46,7 @@ def without_error_estimate(text):
     return [line for line in text.splitlines() if "error estimate" not in line]
 
 
+@pytest.mark.slow
 def test_the_readme_shows_what_its_first_block_prints(readme):
     shown = re.search(r"```text\n(.*?)```", README, re.S).group(1)
     assert without_error_estimate(readme[1][0]) == without_error_estimate(shown)
@@ -56,6 +57,7 @@ def test_the_readme_shows_what_its_first_block_prints(readme):
     assert "(117.344, 60.282) mm" in shown  # the tip in the exact kinematics, docs/theory.md (16)
 
 
+@pytest.mark.slow
 def test_the_sweep_of_the_readme(readme):
     grid = readme[0].grid
     assert grid.successful.all()
@@ -65,6 +67,7 @@ def test_the_sweep_of_the_readme(readme):
     np.testing.assert_allclose(at, pulls / (1 + 0.42 / 1.4e6 * pulls * G), rtol=1e-4)  # interpolated
 
 
+@pytest.mark.slow
 def test_the_design_of_the_readme(readme):
     """The thinnest wall all along and the tendon as far out as allowed; it reaches 90 degrees at the tension found."""
     found = readme[0].found
@@ -83,6 +86,7 @@ def test_the_fit_of_the_readme(cddf_command, monkeypatch):
     assert out == shown
 
 
+@pytest.mark.slow
 def test_optimistix_and_the_command_find_the_same(readme):
     """Pulley test and load cells each determine one number, so the weights of an optimiser change neither."""
     shown = re.search(r"```console\n.*?```", README, re.S).group()

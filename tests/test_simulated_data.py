@@ -46,6 +46,7 @@ def assert_standard_normal(z):
     assert 0.7 < np.sqrt(np.mean(z**2)) < 1.3
 
 
+@pytest.mark.slow
 def test_the_script_gives_the_shipped_bytes(tmp_path):
     spec = importlib.util.spec_from_file_location("make_simulated", DATA / "make_simulated.py")
     assert spec is not None

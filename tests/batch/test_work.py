@@ -13,7 +13,6 @@ import socket
 import subprocess
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -76,17 +75,23 @@ def whole_chunks(path):
 # --- chunks -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("chunk", [1000, 170])
-def test_chunks_change_nothing(plain, tmp_path, chunk):
-    same(cddf.sweep(paper_body(), axes(SOLVES), chunk=chunk, **OPTIONS), plain)
-    stored = cddf.sweep(paper_body(), axes(SOLVES), chunk=chunk, out=tmp_path / "s.zarr", **OPTIONS)
-    same(stored, plain)
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory):
+    """A store of ten chunks."""
+    path = tmp_path_factory.mktemp("stored") / "s.zarr"
+    cddf.sweep(paper_body(), axes(SOLVES), out=path, chunk=50, **OPTIONS)
+    return path
 
 
-def test_a_store_opens_anywhere(plain, tmp_path):
-    cddf.sweep(paper_body(), axes(SOLVES), out=tmp_path / "s.zarr", **OPTIONS)
-    found = xarray.open_zarr(tmp_path / "s.zarr", chunks=None, consolidated=False)
-    same(found[list(OPTIONS["outputs"])], plain[list(OPTIONS["outputs"])], rtol=0)
+@pytest.fixture
+def copied(stored, tmp_path):
+    return Path(shutil.copytree(stored, tmp_path / "s.zarr"))
+
+
+def test_chunks_change_nothing_and_a_store_opens_anywhere(plain, stored):
+    same(cddf.sweep(paper_body(), axes(SOLVES), chunk=170, **OPTIONS), plain)
+    found = xarray.open_zarr(stored, chunks=None, consolidated=False)
+    same(found[list(OPTIONS["outputs"])], plain[list(OPTIONS["outputs"])])
 
 
 def test_coordinates_of_samples_are_coordinates_in_the_store(tmp_path):
@@ -126,11 +131,10 @@ def test_regions_tile_the_answer():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("devices", [1, 2])
-def test_devices_change_nothing(plain, tmp_path, devices):
-    """Four devices here (conftest), one or two in a process of its own; the compiler's options differ as well."""
+def test_devices_change_nothing(plain, tmp_path):
+    """Four devices here (conftest), two in a process of its own; the compiler's options differ as well."""
     path = tmp_path / "s.zarr"
-    ended(start(compiler="", out=str(path), devices=devices))
+    ended(start(compiler="", out=str(path), devices=2))
     same(cddf.sweep(paper_body(), axes(SOLVES), out=path, **OPTIONS), plain)
 
 
@@ -154,11 +158,10 @@ def test_each_process_does_its_share_of_the_chunks(plain, tmp_path, monkeypatch)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("processes", [2, 4])
-def test_processes_share_the_work(plain, tmp_path, processes):
+def test_processes_share_the_work(plain, tmp_path):
     path = tmp_path / "s.zarr"
-    common = {"out": str(path), "chunk": 50, "processes": processes, "port": free_port()}
-    children = [start(rank=rank, **common) for rank in range(processes)]
+    common = {"out": str(path), "chunk": 50, "processes": 3, "port": free_port()}
+    children = [start(rank=rank, **common) for rank in range(3)]
     told = {ended(child).splitlines()[-1] for child in children}  # gloo chats before
     assert len(told) == 1  # every process comes back with all of it
     same(cddf.sweep(paper_body(), axes(SOLVES), out=path, **OPTIONS), plain)
@@ -220,29 +223,23 @@ def test_killed_at_random_times_it_goes_on_where_it_was(plain, tmp_path):
     assert len(whole_chunks(path)) == SOLVES
 
 
-@pytest.mark.parametrize("damage", ["missing", "empty", "scrambled", "garbage", "short", "last"])
-def test_a_chunk_that_is_not_whole_is_computed_again(plain, tmp_path, damage):
-    path = tmp_path / "s.zarr"
-    cddf.sweep(paper_body(), axes(SOLVES), out=path, chunk=50, **OPTIONS)
+@pytest.mark.parametrize("damage", ["missing", "empty", "scrambled", "short"])
+def test_a_chunk_that_is_not_whole_is_computed_again(plain, copied, damage):
+    """A file that is empty, or holds rubbish, is what a power cut leaves."""
+    chunk = copied / "tip_tension" / "c" / "3" / "0" / "0"
+    whole = chunk.read_bytes()
     if damage == "missing":
-        shutil.rmtree(path / "tip_position" / "c" / "3")
-    elif damage == "empty":  # what a power cut leaves of a file
-        (path / "tip_tension" / "c" / "3" / "0" / "0").write_bytes(b"")
-    elif damage in ("scrambled", "garbage", "short"):
-        chunk = path / "tip_tension" / "c" / "3" / "0" / "0"
-        whole = chunk.read_bytes()
-        rubbish = {"scrambled": b"\0" * len(whole), "garbage": np.random.default_rng(0).bytes(len(whole))}
-        chunk.write_bytes(rubbish.get(damage, whole[: len(whole) // 2]))
+        chunk.unlink()
     else:
-        (path / "result" / "c" / "3" / "0").unlink()
-    same(cddf.sweep(paper_body(), axes(SOLVES), out=path, **OPTIONS), plain)
+        chunk.write_bytes({"empty": b"", "scrambled": b"\0" * len(whole), "short": whole[: len(whole) // 2]}[damage])
+    same(cddf.sweep(paper_body(), axes(SOLVES), out=copied, **OPTIONS), plain)
+    assert len(chunk.read_bytes()) == len(whole)
 
 
-def test_a_store_without_one_of_its_arrays_is_said_to_be_damaged(tmp_path):
-    cddf.sweep(paper_body(), axes(SOLVES), out=tmp_path / "s.zarr", **OPTIONS)
-    (tmp_path / "s.zarr" / "tip_position" / "zarr.json").unlink()
+def test_a_store_without_one_of_its_arrays_is_said_to_be_damaged(copied):
+    (copied / "tip_position" / "zarr.json").unlink()
     with pytest.raises(cddf.InputError, match=r"s\.zarr is damaged: its array 'tip_position' cannot be read"):
-        cddf.sweep(paper_body(), axes(SOLVES), out=tmp_path / "s.zarr", **OPTIONS)
+        cddf.sweep(paper_body(), axes(SOLVES), out=copied, **OPTIONS)
 
 
 def test_a_full_disk_is_said_and_nothing_is_lost(plain, tmp_path, monkeypatch):
@@ -291,17 +288,9 @@ OTHERS = {
     "axis": ({"solves": 250}, "its axis base_tension is"),
     "outputs": ({"outputs": ["tip_angle"]}, "its outputs is"),
     "nodes": ({"nodes": 12}, "its nodes is 16, not 12"),
-    "sensitivities": ({"sensitivities": ["length"]}, "its sensitivities is"),
     "a number more": ({"body": {"drag": 1.0}}, "it has no drag"),
     "observable": ({"observables": {"x": lambda found: found.tip_angle}}, "its observables is"),
 }
-
-
-@pytest.fixture(scope="module")
-def stored(tmp_path_factory):
-    path = tmp_path_factory.mktemp("stored") / "s.zarr"
-    cddf.sweep(paper_body(), axes(SOLVES), out=path, **OPTIONS)
-    return path
 
 
 @pytest.mark.parametrize("other", OTHERS)
@@ -316,16 +305,7 @@ def test_a_store_of_another_sweep_is_refused(stored, other):
     assert before == sorted(file.stat().st_mtime_ns for file in stored.rglob("*"))
 
 
-def test_a_function_as_a_profile_is_identified_by_its_values(tmp_path):
-    def body(tip):
-        return replace(paper_body(), outer_radius=lambda s: 0.020 + (tip - 0.020) * s / 0.14)
-
-    cddf.sweep(body(0.013), axes(SOLVES), out=tmp_path / "s.zarr", **OPTIONS)
-    with pytest.raises(cddf.InputError, match="its outer_radius"):
-        cddf.sweep(body(0.014), axes(SOLVES), out=tmp_path / "s.zarr", **OPTIONS)
-
-
-@pytest.mark.parametrize("kind", ["file", "folder", "group", "json"])
+@pytest.mark.parametrize("kind", ["file", "folder", "json"])
 def test_what_is_no_store_is_left_alone(tmp_path, kind):
     path = tmp_path / "s.zarr"
     if kind == "file":
@@ -334,7 +314,7 @@ def test_what_is_no_store_is_left_alone(tmp_path, kind):
         path.mkdir()
         (path / "mine.txt").write_text("mine")
     else:
-        zarr.create_group(path, attributes={"identity": "no json"} if kind == "json" else {})
+        zarr.create_group(path, attributes={"identity": "no json"})
     before = {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
     with pytest.raises(cddf.InputError, match=r"s\.zarr exists and was not written by cddf_jax; give another path"):
         cddf.sweep(paper_body(), axes(SOLVES), out=path, **OPTIONS)

@@ -17,7 +17,6 @@ from cddf_jax.designing.constrained import (
     least_violation,
     minimise_constrained,
     optimality,
-    relaxed,
 )
 
 PRINTED = 1e-6  # the book prints seven to nine digits
@@ -96,13 +95,14 @@ def rosen_suzuki() -> Written:
 
 def test_rosen_suzuki_with_its_multipliers():
     """HS 43: f = -44 at (0, 1, 2, -1). There grad f = (-5, -3, -13, 5) = 1 (-1, -1, -5, 3) + 2 (-2, -1, -4, 1)."""
-    points = []
-    found = minimise_constrained(rosen_suzuki(), np.zeros(4), *on_both_sides(4), after=points.append)
-    assert 0 < len(points) <= found.iterations
+    found = minimise_constrained(rosen_suzuki(), np.zeros(4), *on_both_sides(4))
     assert found.point.objective == pytest.approx(-44.0, rel=1e-9)
     assert found.point.x == pytest.approx([0, 1, 2, -1], abs=PRINTED)
     assert found.optimality.inequality == pytest.approx([1, 0, 2], abs=MULTIPLIERS)
     assert found.optimality.residual <= TOLERANCE
+    short = minimise_constrained(rosen_suzuki(), np.zeros(4), *on_both_sides(4), max_iterations=2)
+    assert short.iterations == 2
+    assert not short.stationary
 
 
 def test_the_multipliers_of_a_known_optimum():
@@ -113,33 +113,6 @@ def test_the_multipliers_of_a_known_optimum():
     assert known.residual < 1e-12
     # at the origin no limit is used up, so the residual is the gradient (-5, -5, -21, 7) over its largest entry
     assert optimality(problem(np.zeros(4)), *nowhere).residual == pytest.approx(1.0, rel=1e-12)
-
-
-def hs_100() -> Written:
-    def objective(x):
-        squares = (x[0] - 10) ** 2 + 5 * (x[1] - 12) ** 2 + x[2] ** 4 + 3 * (x[3] - 11) ** 2
-        return squares + 10 * x[4] ** 6 + 7 * x[5] ** 2 + x[6] ** 4 - 4 * x[5] * x[6] - 10 * x[5] - 8 * x[6]
-
-    return Written(
-        objective,
-        lambda x: [
-            127 - 2 * x[0] ** 2 - 3 * x[1] ** 4 - x[2] - 4 * x[3] ** 2 - 5 * x[4],
-            282 - 7 * x[0] - 3 * x[1] - 10 * x[2] ** 2 - x[3] + x[4],
-            196 - 23 * x[0] - x[1] ** 2 - 6 * x[5] ** 2 + 8 * x[6],
-            -4 * x[0] ** 2 - x[1] ** 2 + 3 * x[0] * x[1] - 2 * x[2] ** 2 - 5 * x[5] + 11 * x[6],
-        ],
-    )
-
-
-def test_hock_schittkowski_100():
-    """HS 100: f = 680.6300573 at the point below, with the first and the last limit active."""
-    found = minimise_constrained(hs_100(), np.array([1.0, 2.0, 0.0, 4.0, 0.0, 1.0, 1.0]), *on_both_sides(7))
-    best = [2.330499, 1.951372, -0.4775414, 4.365726, -0.6244870, 1.038131, 1.594227]
-    assert found.point.objective == pytest.approx(680.6300573, rel=1e-9)
-    assert found.point.x == pytest.approx(best, abs=1e-5)  # f is flat there: half its digits
-    assert found.feasible
-    assert found.optimality.residual <= TOLERANCE
-    assert np.flatnonzero(found.optimality.inequality).tolist() == [0, 3]
 
 
 # --- where it is hard ----------------------------------------------------------------------------
@@ -159,42 +132,6 @@ def test_where_there_is_no_answer_it_turns_back():
     assert found.point.usable
     assert found.point.objective == pytest.approx(1 + np.log(100), rel=1e-10)
     assert found.point.x == pytest.approx([0.01], rel=1e-5)
-
-
-def weighted_exponentials(count: int) -> tuple[Written, np.ndarray, float]:
-    """The sum of w exp(x) with sum x = 1: w exp(x) is the multiplier of the sum, the same for all."""
-    weights = np.geomspace(0.1, 10.0, count)
-    level = np.exp((1.0 + np.sum(np.log(weights))) / count)
-    problem = Written(lambda x: weights @ jnp.exp(x), equality=lambda x: [jnp.sum(x) - 1.0])
-    return problem, np.log(level / weights), level
-
-
-def test_twenty_unknowns_with_their_multiplier():
-    """And 2 iterations end far from the optimum, which is said."""
-    problem, best, level = weighted_exponentials(20)
-    asked = problem, np.full(20, 1 / 20), *on_both_sides(20)
-    found = minimise_constrained(*asked)
-    assert found.optimality.residual <= TOLERANCE
-    assert found.point.x == pytest.approx(best, abs=1e-5)
-    assert found.optimality.equality == pytest.approx([level], rel=1e-5)
-    alone = minimise_constrained(*asked, max_iterations=2)
-    assert alone.iterations == 2
-    assert not alone.stationary
-
-
-def test_an_active_bound_and_an_active_limit():
-    """Exponentials with x1 at most 1, where it stays, and sum x at least 1 as an inequality: one unknown fewer."""
-    weights = np.geomspace(0.1, 10.0, 8)
-    problem = Written(lambda x: weights @ jnp.exp(x), lambda x: [jnp.sum(x) - 1.0])
-    upper = np.r_[1.0, np.full(7, np.inf)]
-    start = np.r_[1.0, np.zeros(7)]
-    found = minimise_constrained(problem, start, np.full(8, -np.inf), upper)
-    level = np.exp(np.sum(np.log(weights[1:])) / 7)  # of the others, whose sum is 0
-    assert level > weights[0] * np.e  # so that the bound holds it
-    assert found.optimality.residual <= TOLERANCE
-    assert found.point.x == pytest.approx(np.r_[1.0, np.log(level / weights[1:])], abs=1e-5)
-    assert found.optimality.inequality == pytest.approx([level], rel=1e-5)
-    assert found.optimality.upper[0] == pytest.approx(level - weights[0] * np.e, rel=1e-5)
 
 
 # --- limits in one another's way -----------------------------------------------------------------
@@ -231,23 +168,6 @@ def test_the_least_violation_of_an_equation_beyond_the_bounds():
     assert found.point.x == pytest.approx([1.0, 1.0, 1.0], abs=1e-8)
     assert found.optimality.inequality == pytest.approx([1.0, 0.0], abs=1e-8)
     assert found.optimality.upper[:2] == pytest.approx([1.0, 1.0], abs=1e-8)
-
-
-def test_relaxed_limits_have_the_derivatives_of_their_values():
-    """Slopes of `relaxed` against central differences, limits of both kinds at once."""
-    inner = Written(
-        lambda x: x[0] * x[3],
-        lambda x: [x[0] * x[1] * x[2] * x[3] - 25.0, jnp.sin(x[0]) * x[1]],
-        lambda x: [x @ x - 40.0, x[2] ** 3],
-    )
-    soft, rng = relaxed(inner), np.random.default_rng(0)
-    x, along = rng.normal(size=5), rng.normal(size=5)
-    h = 1e-5
-    ahead, behind = soft(x + h * along), soft(x - h * along)
-    # h^2 of truncation, 1e-16 / h of rounding
-    assert soft(x).inequality_slopes @ along == pytest.approx(
-        (ahead.inequality - behind.inequality) / (2 * h), rel=1e-7, abs=1e-7
-    )
 
 
 def test_a_bound_and_a_limit_at_one_point_share_their_multiplier():

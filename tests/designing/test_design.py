@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
 from types import SimpleNamespace
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -92,6 +92,7 @@ def test_uniform_curvature_has_the_analytic_radius(kinematics):
     assert found.objective < 1e-6
 
 
+@pytest.mark.slow
 def test_nothing_holds_a_perfect_design_back():
     """Uniform curvature is reached whatever the tip angle: no multiplier, no sensitivity, every number inside."""
     found = uniform("exact")
@@ -145,23 +146,6 @@ def test_the_loss_at_a_given_angle_does_not_depend_on_the_taper():
 
 
 @pytest.mark.slow
-def test_the_objective_is_flat():
-    """Slope zero at bodies drawn at random, though their tensions differ by much."""
-    found = flat()
-    problem, rng = found.outcome.problem, np.random.default_rng(0)
-    flows = []
-    for values in rng.uniform(0.012, 0.025, (4, 5)):
-        z = problem.free.scaled(values)
-        point = problem(z)
-        assert point.usable
-        assert point.objective == pytest.approx(1.0, rel=1e-7)
-        assert np.max(np.abs(point.gradient)) < 1e-5  # 16 nodes on a wavy spline; that of the tension is about 1
-        s = L * (NODES + 1) / 2
-        flows.append(np.sum(WEIGHTS / (CubicSpline(KNOTS, values, bc_type="not-a-knot")(s) ** 4 - r**4)))
-    assert max(flows) > 1.5 * min(flows)  # to which the tension is inversely proportional
-
-
-@pytest.mark.slow
 def test_sensitivities_of_a_design_that_is_pulled_to_an_angle():
     """The loss 1 - exp(-mu theta) by friction and by the angle; neither stiffness nor length count."""
     cost, kept = flat().sensitivity, np.exp(-MU * 0.8)
@@ -192,7 +176,7 @@ def even_strain(E, angle=1.0):
 
 
 @lru_cache
-def least_strain(bounds=(0.010, 0.030), moduli=(), starts=1):
+def least_strain(bounds=(0.010, 0.030), moduli=()):
     return cddf.design(
         paper_body("exact", inner_radius=0.0, outer_radius=(0.0150, 0.0130)),
         cddf.Least("strain"),
@@ -201,7 +185,6 @@ def least_strain(bounds=(0.010, 0.030), moduli=(), starts=1):
         constraints=[cddf.Limit("tip_angle", equal=1.0)],
         cases=cddf.LoadCase(T),
         choices={"youngs_modulus": moduli} if moduli else None,
-        options=cddf.DesignOptions(starts=starts),
     )
 
 
@@ -214,12 +197,6 @@ def test_the_least_peak_strain_is_even_strain_of_a_cone():
     h = 1e-4
     slope = (even_strain(E, 1 + h)[0] - even_strain(E, 1 - h)[0]) / (2 * h)
     assert limit_of(found, "tip_angle", "equal").multiplier == pytest.approx(slope, rel=1e-5)
-
-
-def test_more_starts_end_at_the_same_body():
-    """There is one best cone: every search ends there."""
-    found, alone = least_strain(starts=4), least_strain()
-    assert found.starts == pytest.approx([alone.objective] * 4, rel=CLOSED)
 
 
 def test_the_best_of_a_few_choices():
@@ -288,81 +265,16 @@ def pulled_two(numbers=None, second=SECOND, most_sag=BEST_SAG, angle=ANGLE, **li
     )
 
 
-class TwoTendons(NamedTuple):
-    """The same in closed form, arrays of bodies: phi' E J / d = T_1 exp(-mu phi) - T_2 exp(mu phi) is separable.
+def moment_of_two(base, tip, offset, s, tension):
+    """In closed form: phi' E J / d = T_1 exp(-mu phi) - T_2 exp(mu phi) is separable.
 
     With u = exp(mu phi), m = sqrt(T_1 T_2) and h(s) = int_0^s dx / J: artanh(u sqrt(T_2 / T_1)) grows by mu m d h / E.
     """
-
-    base: Any
-    tip: Any
-    offset: Any
-
-    def flow(self, s):
-        """The integral h(s) of 1 / J by Gauss's rule."""
-        x = s * (NODES + 1) / 2
-        radius = self.base[..., None] + (self.tip - self.base)[..., None] * x / L
-        return (4 / np.pi / (radius**4 - r**4)) @ WEIGHTS * s / 2
-
-    @property
-    def tension(self):
-        """The base tension at which the tip is at `ANGLE`, by bisection between its bounds."""
-        wanted = MU * self.offset * self.flow(L) / E
-        low, high = np.full_like(self.base, 7.1), np.full_like(self.base, 500.0)
-        for _ in range(50):
-            middle = (low + high) / 2
-            ratio = np.sqrt(SECOND / middle)
-            reached = (np.arctanh(np.exp(MU * ANGLE) * ratio * (1 - 1e-15)) - np.arctanh(ratio)) / np.sqrt(
-                middle * SECOND
-            )
-            low, high = np.where(reached > wanted, middle, low), np.where(reached > wanted, high, middle)
-        return middle
-
-    def moment(self, s, tension):
-        ratio = np.sqrt(SECOND / tension)
-        u = np.tanh(np.arctanh(ratio) + MU * np.sqrt(tension * SECOND) * self.offset * self.flow(s) / E) / ratio
-        return self.offset * (tension / u - SECOND * u)
-
-    def keeps(self, tension, slope):
-        x = L * (NODES + 1) / 2
-        radius = self.base[..., None] + (self.tip - self.base)[..., None] * x / L
-        sag = ((L - x) ** 2 * 4 / np.pi / (radius**4 - r**4)) @ WEIGHTS * L / 2 / E
-        area = np.pi * (self.base**2 + self.base * self.tip + self.tip**2 - 3 * r**2) / 3
-        strain, crossing = 0.0, 0.0
-        for s in np.linspace(0, L, 5):
-            here = self.base + (self.tip - self.base) * s / L
-            curvature = self.moment(s, tension) / (E * np.pi / 4 * (here**4 - r**4))
-            strain, crossing = np.maximum(strain, here * curvature), np.maximum(crossing, self.offset * curvature)
-        return (
-            (sag <= BEST_SAG)
-            & (self.offset + 1e-3 <= np.minimum(self.base, self.tip))
-            & (self.offset - 1e-3 >= r)
-            & (np.minimum(self.base, self.tip) >= r + 3e-3)
-            & (self.base >= self.tip)
-            & (self.base - self.tip <= slope * L)
-            & (DENSITY * area * L <= 0.2)
-            & (strain <= 0.2)
-            & (crossing <= 0.2)
-            & (tension <= 120.0)
-        )
-
-
-def brute_force(slope):
-    """The least tension on a grid of bodies, again and again on a smaller one around the best.
-
-    Its axes: the radii at base and tip, and the room between tendon and outer wall at the tip, from 1 mm on.
-    """
-    centre, half = np.array([0.02, 0.015, 0.002]), np.array([0.010, 0.005, 0.001])
-    for _ in range(30):
-        axes = [np.linspace(c - h, c + h, n) for c, h, n in zip(centre, half, (21, 21, 5), strict=True)]
-        base, tip, room = (axis.ravel() for axis in np.meshgrid(*axes, indexing="ij"))
-        tip, room = np.maximum(tip, 0.010), np.maximum(room, 1e-3)
-        bodies = TwoTendons(np.maximum(base, tip), tip, tip - room)
-        tension = bodies.tension
-        tension = np.where(bodies.keeps(tension, slope), tension, np.inf)
-        i = int(np.argmin(tension))
-        centre, half = np.array([bodies.base[i], tip[i], room[i]]), half / 1.4
-    return tension[i], np.array([bodies.base[i], tip[i], bodies.offset[i]])
+    radius = base + (tip - base) * s * (NODES + 1) / 2 / L
+    flow = (4 / np.pi / (radius**4 - r**4)) @ WEIGHTS * s / 2
+    ratio = np.sqrt(SECOND / tension)
+    u = np.tanh(np.arctanh(ratio) + MU * np.sqrt(tension * SECOND) * offset * flow / E) / ratio
+    return offset * (tension / u - SECOND * u)
 
 
 @pytest.fixture(scope="module")
@@ -370,29 +282,12 @@ def stiff():
     return pulled_two()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("slope", [0.06, 0.2])
-def test_the_least_tension_against_a_brute_force_sweep(slope):
-    """Where the slope holds the taper back, and where the thinnest tip does."""
-    found, (tension, (base, tip, offset)) = pulled_two(slope=slope), brute_force(slope)
-    assert found.success
-    assert limit_of(found, "slope").active == (slope == 0.06)
-    # the grid cannot be better, and is as near as its last mesh
-    first = found.value["base_tension_1"]
-    assert first * (1 - 1e-7) <= tension <= first * (1 + 1e-4)
-    assert found.objective == pytest.approx(first + SECOND, rel=1e-12)
-    # places only to where the tension is the same to 1e-4
-    expected = {"outer_radius.base": base, "outer_radius.tip": tip, "tendons.*.offset": offset}
-    assert {name: found.value[name] for name in expected} == pytest.approx(expected, rel=5e-3)
-
-
 def test_everything_that_is_limited_is_kept_everywhere(stiff):
     """Each limit looked at again along the whole body, from the free numbers alone and the closed form."""
     body, pulled = stiff.manipulator, stiff.value["base_tension_1"]
     outer = np.asarray(body.outer_radius(DENSE))
     offsets = np.asarray(body.offset(DENSE))
-    again = TwoTendons(*(np.array(stiff.value[name]) for name in list(stiff.value)[:3]))
-    moment = np.array([again.moment(s, pulled) for s in DENSE])
+    moment = np.array([moment_of_two(*list(stiff.value.values())[:3], s, pulled) for s in DENSE])
     curvature = moment / (E * np.pi / 4 * (outer**4 - r**4))
     # the one sliding in loses tension, the other one gains it up to the tip
     tension = max(pulled, SECOND * np.exp(MU * ANGLE))
@@ -423,7 +318,6 @@ def test_multipliers_are_what_limits_cost(stiff):
     """Against designing again with a limit moved to either side, a central difference of the optimum."""
     moves = {
         "tip_angle": ("equal", "angle", ANGLE, 1e-3, +1),
-        "sag": ("most", "most_sag", BEST_SAG, 1e-5, -1),
         "clearance": ("least", "clearance", 1e-3, 1e-6, +1),
         "slope": ("most", "slope", 0.06, 1e-4, -1),
     }
@@ -439,8 +333,6 @@ def test_sensitivities_are_what_fixed_numbers_cost(stiff):
     """Against designing again with another body, load case or limit."""
     h = 1e-4
     moves = {
-        "youngs_modulus": (E, lambda x: {"numbers": {"youngs_modulus": x}}),
-        "friction_coefficient": (MU, lambda x: {"numbers": {"friction_coefficient": x}}),
         "length": (L, lambda x: {"numbers": {"length": x}}),
         "inner_radius": (r, lambda x: {"numbers": {"inner_radius": x}}),
         "case 1: base_tension_2": (SECOND, lambda x: {"second": x}),
@@ -464,11 +356,10 @@ def test_limits_that_no_body_keeps_are_named():
     assert all(any(name in text for text in found.blocking) for name in names)
 
 
-@pytest.mark.parametrize("designed", [least_strain, pytest.param(pulled_two, marks=pytest.mark.slow)])
-def test_derivatives_against_finite_differences(designed):
+def test_derivatives_against_finite_differences(stiff):
     """Slopes of objective, margins and equations at a point beside the optimum."""
-    found, rng = designed(), np.random.default_rng(3)
-    problem, x = found.outcome.problem, found.outcome.local.point.x
+    rng = np.random.default_rng(3)
+    problem, x = stiff.outcome.problem, stiff.outcome.local.point.x
     x = x * (1 + 0.02 * rng.random(x.size))
     point, h = problem(x), 1e-4
     for along in np.eye(x.size):
@@ -623,20 +514,6 @@ def test_the_stiffness_of_a_bent_tip():
         assert float(found[name]) == pytest.approx(expected, rel=CLOSED), name
 
 
-def test_an_objective_that_is_no_number_is_never_a_success():
-    """The logarithm of a negative length: refused at the start, or told to have failed."""
-    try:
-        found = cddf.design(
-            paper_body("exact"),
-            lambda body, found: jnp.log(0.01 - body.length),
-            ("outer_radius",),
-            cases=cddf.LoadCase(T),
-        ).success
-    except InputError:
-        found = False
-    assert not found
-
-
 # --- several load cases --------------------------------------------------------------------------
 
 MEAN, SPREAD = np.array([MU, E]), np.array([0.03, 0.05e6])
@@ -754,18 +631,17 @@ def test_a_tendon_that_ends_early_is_in_nobodys_way_beyond():
 
 def test_no_price_where_two_limits_bind_at_one_place():
     """A wall of 3 mm and a tendon at 10 mm both stop the radius at 10 mm: giving way of one alone is worth nothing, and
-    a thicker wall costs much. The tension for an angle is proportional to E."""
-    limits = [cddf.Limit("wall_thickness", least=3e-3)]
-    options = {"cases": cddf.LoadCase(cddf.TipAngle(1.0)), "options": EIGHT}
-    bounds = {"outer_radius": (8e-3, 25e-3)}
-    found = cddf.design(stepped(), cddf.Least("base_tension"), ("outer_radius",), bounds, limits, **options)
+    a thicker wall costs much. The volume pi (R^2 - r^2) L is proportional to the length."""
+    bounds, limits = {"outer_radius": (8e-3, 25e-3)}, [cddf.Limit("wall_thickness", least=3e-3)]
+    options = {"cases": cddf.LoadCase(20.0), "options": EIGHT}
+    found = cddf.design(stepped(), cddf.Least("volume"), ("outer_radius",), bounds, limits, **options)
     wall = found.limits[0]
     assert wall.name == "wall_thickness"
     assert wall.active
     assert np.isnan(wall.multiplier)
     assert "not unique: limits bind at one place" in str(found)
     assert np.isnan(found.sensitivity["inner_radius"])  # a kink
-    assert found.sensitivity["youngs_modulus"] == pytest.approx(found.objective / E, rel=1e-6)
+    assert found.sensitivity["length"] == pytest.approx(np.pi * (0.010**2 - r**2), rel=1e-6)
 
 
 def test_single_precision_is_refused():

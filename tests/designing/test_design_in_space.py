@@ -72,7 +72,9 @@ def test_the_least_tension_for_a_pose():
     assert found.free["tendons.0.offset"].status == "at upper bound"
     assert found.free["tendons.0.offset"].multiplier == pytest.approx(tension / FARTHEST, rel=1e-6)
     assert found.equilibria[0].tip_position[0] == pytest.approx(arc(8.0)[0], rel=1e-8)
-    assert "| tendons.0.angle | 28.648 deg | 114.59 deg | -151.35 deg to 208.65 deg | inside |" in str(found)
+    angle = found.free["tendons.0.angle"]
+    assert (angle.start, angle.status) == (0.5, "inside")
+    assert (angle.lower, angle.upper) == pytest.approx((0.5 - np.pi, 0.5 + np.pi))  # half a turn either way
 
 
 # --- most twist ----------------------------------------------------------------------------------
@@ -185,25 +187,6 @@ def test_the_figure_of_a_design_in_space():
 
 
 @pytest.mark.slow
-def test_the_slope_by_the_angle_of_a_tendon():
-    """Without friction tip_z = r sin(angle): by 1 degree it changes by cot(angle) pi / 180 of itself."""
-    angle = 0.4
-    found = cddf.design(
-        tube(cddf.Tendon(8e-3, angle=angle), friction_coefficient=0.0),
-        cddf.Most("tip_z"),
-        free=("youngs_modulus",),
-        bounds={"youngs_modulus": (1.2e6, 1.6e6)},
-        cases=cddf.LoadCase(10.0, direction=1),
-        options=FEW,
-    )
-    kappa = 10.0 * 8e-3 / (EJ * 1.2e6 / E)
-    across = (1 - np.cos(kappa * L)) / kappa
-    assert found.objective == pytest.approx(across * np.sin(angle), rel=1e-8)
-    assert found.sensitivity["tendons.0.angle"] == pytest.approx(across * np.cos(angle), rel=1e-8)
-    assert f"| tendons.0.angle, by 1 deg | {100 / np.tan(angle) * np.pi / 180:+.3g} % |" in str(found)
-
-
-@pytest.mark.slow
 def test_the_stiffness_of_the_tip_in_space():
     """That of a cantilever that is hardly pulled, along both axes across it: 3 E J / L^3."""
     body, case = tube(cddf.Tendon(8e-3, angle=0.3)), cddf.LoadCase(1e-6, direction=1)
@@ -240,7 +223,6 @@ HELIX = tube(cddf.Tendon(8e-3, angle=cddf.Linear(0.0, 3.0, L)))
             cddf.Near("heading", -0.1, at=[0.1]),
             "near heading: heading of a body in space is 0 or more and at",
         ),
-        (STRAIGHT, cddf.Even("tip_tension"), "even tip_tension compares tendons, and the body has one; take Least"),
     ],
 )
 def test_what_has_no_meaning(body, objective, message):

@@ -133,7 +133,7 @@ def test_what_has_no_width(body, case, message):
     assert message in str(caught.value)
 
 
-@pytest.mark.parametrize("loop", [(75.0, 5.0), (5.0,), (-1.0, 75.0), (5.0, np.nan), ((5.0, 9.0), (5.0, 9.0))])
+@pytest.mark.parametrize("loop", [(75.0, 5.0), (5.0,), (5.0, np.nan)])
 def test_what_is_no_loop(loop):
     with pytest.raises(InputError, match="loop must be two tensions"):
         cddf.LoadCase(AT, loop=loop)

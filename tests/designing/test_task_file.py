@@ -2,13 +2,14 @@
 
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from bodies import paper_body
 from refusals import refused
 
 import cddf_jax as cddf
-from cddf_jax.designing.body_quantities import BODY_QUANTITIES, quantity_named
+from cddf_jax.designing.body_quantities import BODY_QUANTITIES
 from cddf_jax.designing.free_numbers import free_numbers_of
 from cddf_jax.robot.profiles import Shifted
 from cddf_jax.robot.reshape import stretched
@@ -32,10 +33,6 @@ def refused_design(message, body=None, **changes):
         ({"free": ()}, "free must list one name or more"),
         ({"free": "outer_radius"}, "free must list one name or more"),
         ({"free": ("outer_radios",)}, "did you mean 'outer_radius'?"),
-        ({"free": ("outer_radius.middle",)}, "did you mean 'outer_radius."),
-        ({"free": ("tendons.1.offset",)}, "tendons.1.offset"),
-        ({"free": ("loads.tip_force.0",)}, "'loads.tip_force.0'"),
-        ({"free": ("outer_radius", "outer_radius")}, "'outer_radius.base' is free twice; leave one out"),
         ({"free": ("outer_radius", "outer_radius.tip")}, "'outer_radius.tip' is free twice; leave one out"),
         ({"free": ("outer_*",)}, "'outer_*': a * stands for all tendons, as in 'tendons.*.offset'"),
         ({"free": ("tendons.0.end",)}, "'tendons.0.end' is not a number here; give it a value at the start"),
@@ -54,7 +51,6 @@ def test_what_cannot_be_free(changes, message):
         ({"outer_radius": 0.03}, "the bounds of 'outer_radius' must be (lower, upper), got 0.03"),
         ({"outer_radius": (0.01, "thick")}, "the bounds of 'outer_radius': text cannot be used, got 'thick'"),
         ({"outer_radius": (0.03, 0.01)}, "the bounds of 'outer_radius' must be finite and increase, got 0.03 and 0.01"),
-        ({"outer_radius": (0.01, np.inf)}, "must be finite and increase, got 0.01 and inf"),
         ({"outer_radius": (0.015, 0.03)}, "'outer_radius' starts at 0.013, outside its bounds 0.015 to 0.03; widen"),
     ],
 )
@@ -121,22 +117,24 @@ def test_everything_along_a_body_is_stretched_with_it():
     ("objective", "message"),
     [
         ("mass", "the objective must be one such as Least(\"mass\") or a function, got 'mass'"),
-        (cddf.Least, "the objective must be one such as"),
-        (None, "the objective must be one such as"),
         ([], "give an objective"),
         ([TENSION, MASS], "several objectives are a list of pairs (weight, objective)"),
-        ([(1.0, TENSION, 2.0)], "several objectives are a list of pairs (weight, objective)"),
         ([(0.0, TENSION)], "the weight of least base_tension must be above 0, got 0"),
         ([(np.nan, TENSION)], "a weight must be finite, got nan"),
         (MASS, 'the body has no mass, since its density is 0; give it one, or take "volume"'),
         (lambda body, found: found.position, "has shape"),
+        (cddf.Least("tip_position"), "tip_position has shape"),
+        (cddf.Near("tip_position", (1.0, 2.0, 3.0)), "tip_position has shape"),
+        (cddf.Near("curvature", 5.0, at=[0.1, 0.5]), "compared at 0.5 m, beyond the tip at 0.14 m"),
+        (cddf.Near("position", [[0.0, 0.0], [0.1, 0.0]]), "say where"),
+        (lambda body, found: jnp.log(0.01 - body.length), "has no finite value for the start"),
     ],
 )
 def test_what_is_no_objective(objective, message):
     refused_design(message, objective=objective)
 
 
-@pytest.mark.parametrize("kind", [cddf.Least, cddf.Most, cddf.Even, cddf.Near, quantity_named, cddf.Limit])
+@pytest.mark.parametrize("kind", [cddf.Least, cddf.Limit])
 def test_an_unknown_quantity_is_answered_with_the_known_ones(kind):
     said = refused(kind, "weight")
     assert "'weight' is not a quantity of a body; there are " in said
@@ -158,11 +156,9 @@ def test_what_does_not_vary_along_the_body():
     ("quantity", "sides", "message"),
     [
         ("mass", {}, "a limit of mass needs least, most or both, or else equal"),
-        ("mass", {"most": 1.0, "equal": 0.5}, "a limit of mass needs least, most or both, or else equal"),
         ("strain", {"equal": 0.1}, "strain varies along the body and cannot equal one value; take Near or Even of it"),
         ("mass", {"least": 2.0, "most": 1.0}, "mass cannot be at least 2 and at most 1; exchange them"),
         ("strain", {"most": 0.1, "scale": -1.0}, "scale"),  # it would turn the limit round
-        ("strain", {"most": 0.1, "scale": 0.0}, "scale"),
         ("strain", {"most": np.nan}, "strain"),  # no number is below NaN, and none above
     ],
 )
@@ -184,7 +180,6 @@ def test_limits_of_a_design():
     ("changes", "message"),
     [
         ({"cases": []}, "cases must be one LoadCase or more"),
-        ({"cases": [50.0, 60.0]}, "cases must be one LoadCase or more"),
         (
             {
                 "free": ("youngs_modulus",),
@@ -197,9 +192,9 @@ def test_limits_of_a_design():
             "did you mean 'youngs_modulus'?",
         ),
         ({"choices": {"outer_radius": [0.02]}}, "outer_radius is not one number"),
-        ({"choices": {"youngs_moduli": [1e6]}}, "did you mean 'youngs_modulus'?"),
+        ({"choices": {"youngs_modulus": ["soft"]}}, "a choice of 'youngs_modulus' is not a number"),
+        ({"constraints": [cddf.Limit("tip_position", equal=(1.0, 2.0, 3.0))]}, "tip_position has shape"),
         ({"choices": {"youngs_modulus": 1e6}}, "the choices of 'youngs_modulus' must be a list of numbers"),
-        ({"choices": {"youngs_modulus": []}}, "the choices of 'youngs_modulus' must be a list of numbers"),
         (
             {"choices": {"youngs_modulus": [1e6]}, "free": ("youngs_modulus",)},
             "'youngs_modulus' is free and has choices; leave one out",
@@ -210,46 +205,17 @@ def test_how_a_body_cannot_be_used(changes, message):
     refused_design(message, **changes)
 
 
-@pytest.mark.parametrize("weight", [-1.0, 0.0, np.nan])
+@pytest.mark.parametrize("weight", [0.0, np.nan])
 def test_a_case_that_counts_nothing(weight):
     with pytest.raises(cddf.InputError, match="the weight must be above 0"):
         cddf.LoadCase(50.0, weight=weight)
 
 
 @pytest.mark.parametrize(
-    ("aim", "message"),
-    [
-        (cddf.Least("tip_position"), "tip_position has shape"),
-        (cddf.Near("tip_position", (1.0, 2.0, 3.0)), "tip_position has shape"),
-        (cddf.Near("curvature", 5.0, at=[0.1, 0.5]), "compared at 0.5 m, beyond the tip at 0.14 m"),
-        (cddf.Near("position", [[0.0, 0.0], [0.1, 0.0]]), "say where"),
-        ([("much", cddf.Least("volume"))], "a weight is not a number, got 'much'"),
-    ],
-)
-def test_an_aim_in_another_shape_or_place(aim, message):
-    refused_design(message, objective=aim)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"free": (3,)}, "free must list one name or more"),
-        ({"choices": {"youngs_modulus": ["soft"]}}, "a choice of 'youngs_modulus' is not a number"),
-        ({"constraints": [cddf.Limit("tip_position", equal=(1.0, 2.0, 3.0))]}, "tip_position has shape"),
-    ],
-)
-def test_numbers_and_names_of_another_kind(options, message):
-    refused_design(message, **options)
-
-
-@pytest.mark.parametrize(
     ("options", "message"),
     [
         ({"starts": 0}, "starts must be a whole number of 1 or more, got 0"),
-        ({"starts": 2.5}, "starts must be a whole number of 1 or more, got 2.5"),
-        ({"seed": -1}, "seed must be a whole number of 0 or more"),
         ({"max_iterations": True}, "max_iterations must be a whole number of 1 or more"),
-        ({"nodes": 3}, "nodes must be a whole number of 4 or more"),
         ({"worst": 1}, "worst must be true or false, got 1"),
     ],
 )
@@ -267,5 +233,4 @@ def test_a_front_has_one_start():
 def test_a_start_without_equilibrium():
     """A Young's modulus below zero is none; the case is named."""
     body = paper_body("exact", youngs_modulus=-1.0)
-    refused_design("the start has no equilibrium in its load case: ", body)
     refused_design("the start has no equilibrium in grip: ", body, cases=[cddf.LoadCase(50.0, name="grip")])

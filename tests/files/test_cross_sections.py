@@ -5,7 +5,7 @@ import pytest
 from bodies import paper_body
 from hypothesis import given, strategies as st
 from scipy.integrate import quad
-from scipy.interpolate import CubicSpline, make_lsq_spline
+from scipy.interpolate import CubicSpline
 
 import cddf_jax as cddf
 from cddf_jax.files import simplest_profile
@@ -98,7 +98,7 @@ def evaluated(profile, s):
 
 @given(tables())
 def test_every_table_is_passed_and_nothing_lies_beyond_neighbouring_points(table):
-    """On a dense grid, which the reader itself does not use: it solves for where the curve is level."""
+    """On a grid that is denser than that of the reader."""
     s, values = table
     profile, width = taken(s, values, 1e-6).profile, np.diff(s)
     slack = 1.001e-6 if np.all(width > 0) else 1.501e-6  # both sides of a step within the tolerance are their mean
@@ -130,20 +130,6 @@ def _through(s, values):
     knots = np.linspace(0, s[-1], 6)
     matrix = np.stack([CubicSpline(knots, row)(s) for row in np.eye(6)], axis=1)
     return np.linalg.solve(matrix, values)
-
-
-def test_a_curve_that_turns_back_between_two_points_is_not_taken():
-    """Seven points of x + sin(14 pi x) / 20, in steps of 1/7: their range is kept, but it falls where they rise."""
-    x = np.linspace(0.0, 1.0, 8)
-    told = simplest_profile._strays(make_lsq_spline(*_wavy(x)), 0.1 * x, 0.01 * x + 0.02, 1e-6)
-    assert told.startswith("turn back between s = 0 mm and 14.286 mm")
-
-
-def _wavy(x):
-    fine = np.linspace(0.0, 1.0, 2001)
-    inner = np.linspace(0.0, 0.1, 101)[1:-1]
-    values = 0.02 + 0.01 * (fine + np.sin(14 * np.pi * fine) / 20)
-    return 0.1 * fine, values, np.concatenate([[0.0] * 4, inner, [0.1] * 4])
 
 
 def _second_moment(s, start, end, base, tip):
@@ -197,21 +183,6 @@ def test_steps_within_the_tolerance_are_none():
     assert float(taken(s, np.array([7e-3, 7e-3, 7.0004e-3, 7.0004e-3]), 1e-6).profile.value) == pytest.approx(7.0002e-3)
 
 
-def test_steep_ramps_do_not_swing(read):
-    """Over 10 um: a smooth curve through these points was thought to leave a negative wall."""
-    sections = read(STEPS.replace("60, 1.8", "60.01, 1.8").replace("130, 1.6", "130.01, 1.6"))
-    robot = cddf.Manipulator(**sections.body, youngs_modulus=2e9, friction_coefficient=0.2)
-    robot.validate(offsets_outside_wall=True)
-    assert type(sections.outer_radius) is Polyline
-
-
-def test_a_step_of_an_offset_is_refused_by_the_checks_of_a_body(read):
-    sections = read(HEAD + "0, 20, 7, 10\n60, 20, 7, 10\n60, 20, 7, 9\n140, 20, 7, 9\n")
-    robot = cddf.Manipulator(**sections.body, youngs_modulus=1.4e6, friction_coefficient=0.4)
-    with pytest.raises(cddf.InputError, match=r"tendon 1: offset must not jump: at s = 60 mm it goes from 10 mm to 9"):
-        robot.validate()
-
-
 def test_an_offset_that_zigzags_is_said(tmp_path):
     """Ten um up and down every 2 mm: nineteen kinks of nearly 2 * 20 um / 2 mm each, 21.77 degrees in all."""
     path = tmp_path / "body.csv"
@@ -248,18 +219,6 @@ def test_solve_says_what_was_read(cddf_command, stepped_robot):
     code, out, err = cddf_command("solve", str(stepped_robot), "-t", "20 N")
     assert (code, "78.415 deg" in out) == (0, True)
     assert f"note: {in_one_line(read_robot_file(stepped_robot).columns)}" in err.splitlines()
-
-
-@pytest.mark.slow
-def test_a_design_says_what_was_read(tmp_path, stepped_robot):
-    from cddf_jax.designing.task_file import read_task
-
-    (tmp_path / "task.toml").write_text(
-        'robot = "robot.toml"\n[free]\nyoungs_modulus = { bounds = ["1 GPa", "3 GPa"] }\n'
-        '[[case]]\nbase_tension = "20 N"\n[[objective]]\nleast = "volume"\n'
-    )
-    (line,) = read_task(tmp_path / "task.toml").read_as
-    assert "outer_radius: straight lines through 6 points" in line
 
 
 def test_scattered_points_are_refused_with_the_remedy():

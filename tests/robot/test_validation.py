@@ -27,11 +27,8 @@ def with_offset(offset, **tendon):
         replace(BODY, friction_coefficient=0.0, inner_radius=0.0),
         replace(BODY, outer_radius=lambda s: 0.02 - 0.3 * s**2),
         with_offset(cddf.Linear(0.020, 0.013, 0.14)),  # on the very surface
-        with_offset(cddf.Linear(0.007, 0.007, 0.14)),
         with_offset(0.015, end=0.1),  # inside the wall until 0.1 m only: 20 mm - 0.1/0.14 * 7 mm = 15 mm
-        with_offset(0.010, end=0.14),
         with_offset(0.010, axial_stiffness=1.2e4, free_length=0.3),
-        with_offset(cddf.Piecewise.linear([0.0, 0.05, 0.14], [0.012, 0.009, 0.010])),
         with_offset(cddf.Spline([0.0, 0.05, 0.1, 0.14], [0.012, 0.009, 0.010, 0.009])),
         replace(BODY, outer_radius=cddf.Piecewise([0.07], [cddf.Constant(0.02), cddf.Constant(0.015)])),
     ],
@@ -65,11 +62,9 @@ def test_scaled_cones_pass_in_either_precision(length, taper, bore, place, dtype
     ("body", "message"),
     [
         (replace(BODY, length=0.0), "length must be above 0, got 0 m; correct its value"),
-        (replace(BODY, youngs_modulus=-1.4e6), "youngs_modulus must be above 0, got -1.4e+06 Pa; correct its value"),
         (replace(BODY, friction_coefficient=-0.1), "friction_coefficient must be 0 or more, got -0.1; correct its"),
         (replace(BODY, youngs_modulus=np.nan), "youngs_modulus must be finite, got nan; correct its value"),
         (with_offset(0.01, friction_coefficient=-0.2), "tendon 1: friction_coefficient must be 0 or more, got -0.2;"),
-        (with_offset(0.01, axial_stiffness=0.0), "tendon 1: axial_stiffness must be above 0, got 0 N; correct its"),
         (
             with_offset(0.01, end=0.15),
             "tendon 1: end at s = 150 mm lies beyond the tip at 140 mm; anchor it on the body, or leave end out for "
@@ -207,7 +202,6 @@ def test_sound_bodies_in_space_pass(body):
             in_space((0.01, 0.0), poissons_ratio=45.0),  # percent
             "poissons_ratio must be above -1 and at most 5, got 45; correct its value, or give torsional_stiffness",
         ),
-        (in_space((0.01, 0.0), axial_factor=0.0), "axial_factor must be above 0, got 0; correct its value"),
         (
             in_space((0.01, 0.0), torsional_stiffness=cddf.Linear(0.02, -0.01, 0.14)),  # 0 after 2/3
             "torsional_stiffness must be above 0: at s = 93.38 mm it is -1e-05 N m^2; correct it there",

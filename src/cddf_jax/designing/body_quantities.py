@@ -27,7 +27,6 @@ from .load_cases import LoadCase
 BODY_NODES = 48  # in each smooth piece, for integrals over a body without an equilibrium
 FLAT = "is zero of a body in the plane; give a tendon an angle, or a load three components"
 SEVERAL_ACROSS = "has two directions across the tip in space; take 'tip_stiffness_x', 'tip_stiffness_y' or one of z"
-OF_RADII = ("volume", "outer_radius", "inner_radius", "wall_thickness", "clearance", "taper", "slope", "strain")
 
 
 @dataclass
@@ -157,7 +156,7 @@ def _integral(view: BodyView, of: Callable[[Array], Array]) -> Array:
 
 
 def _strain(view: BodyView) -> Array:
-    strain = view.body.outer_strain(view.arc_length, view.along.bend())
+    strain = view.body.radii(view.arc_length)[0] * view.along.bend()
     return jnp.stack([strain, -strain])
 
 

@@ -17,10 +17,9 @@ from ..statics.arguments import check_targets, split_actuation
 from ..statics.equilibrium import Equilibrium
 from ..statics.status import words_of
 from ..units import quantity
-from .body_quantities import OF_RADII
 from .free_numbers import Bounds, FreeNumbers, free_numbers_of
 from .load_cases import LoadCase, case_numbers
-from .objectives import Even, Least, Limit, Objective
+from .objectives import Least, Limit, Objective
 from .problem import USABLE, DesignEvaluation, DesignProblem, Term
 from .results import Design, design_of, displayed
 from .search import WANDERING, DesignSearch
@@ -237,12 +236,8 @@ def _check(
             raise InputError(f"design: {part.name!r} {why}")
         if part.name == "strain" and body.extensible:
             raise InputError("design: 'strain' is not known along an axis that stretches; take 'bending'")
-        if isinstance(part, Even) and not part.known.along and body.num_tendons == 1:
-            raise InputError(f"design: {part} compares tendons, and the body has one; take Least or Most of it")
         if part.name == "mass" and not body.has_mass:
             raise InputError('design: the body has no mass, since its density is 0; give it one, or take "volume"')
-        if part.name in OF_RADII and not body.has_radii:
-            raise InputError(f"design: {part.name!r} needs radii; give the body outer_radius and inner_radius")
         for side in ("value", "least", "most", "equal") if body.in_space else ():
             if getattr(part, side, None) is not None:
                 check_range_in_space(f"design: {part}", part.name, getattr(part, side))

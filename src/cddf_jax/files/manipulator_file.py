@@ -91,7 +91,7 @@ from jaxtyping import ArrayLike
 
 from ..errors import InputError, needed, within
 from ..quantities import QUANTITIES, dimension_of
-from ..robot.manipulator import Manipulator, PointMass, Tendon
+from ..robot.manipulator import STIFFNESSES, STRAINS, Manipulator, PointMass, Tendon
 from ..robot.profiles import Constant, Linear, Piecewise, Polyline, Profile, Spline, as_profile
 from ..units import Dimension, quantity, written
 from .cross_sections import TOLERANCE, SectionColumn, read_cross_sections
@@ -99,23 +99,17 @@ from .writing import write_all
 
 _Table = Mapping[str, Any]
 _RADII = ("outer_radius", "inner_radius")
-_STIFFNESSES = ("bending_stiffness", "torsional_stiffness", "axial_stiffness", "shear_stiffness")
-_PROFILES = (*_RADII, "youngs_modulus", *_STIFFNESSES, "mass_per_length")
-_NUMBERS = (
-    *("friction_coefficient", "density", "drag", "yield_strain", "poissons_ratio"),
-    *("stiffness_factor", "axial_factor", "shear_factor", "friction_moment"),
-)
+_PROFILES = (*_RADII, "youngs_modulus", *STIFFNESSES, "mass_per_length")
 _TENDON_PROFILES = ("offset", "angle")
-_TENDON_NUMBERS = (
-    *("end", "friction_coefficient", "axial_stiffness", "free_length", "drag"),
-    *("outside_compliance", "outside_friction", "outside_drag"),
-)
 _REQUIRED = ("length", *_RADII, "youngs_modulus", "friction_coefficient", "tendons")
 _SWITCHES = ("extensible", "offsets_outside_wall")
 _OTHERS = ("kinematics", "rest_curvature", "gravity", *_SWITCHES, "name", "description", "point_mass", "cross_sections")
 _UNLESS_GIVEN = {"free_length": 0.0, "poissons_ratio": 0.5}  # defaults, which are not written
-_STRAINS = ("twist", "about y", "about z")
 _SECTIONS = "cross_sections"
+_NUMBERS, _TENDON_NUMBERS = (
+    tuple(field.name for field in dataclasses.fields(owner) if field.name in QUANTITIES and field.name not in others)
+    for owner, others in ((Manipulator, ("length", *_PROFILES, *_OTHERS)), (Tendon, _TENDON_PROFILES))
+)
 FORMS = '"7 mm", { base, tip }, { ends, pieces }, { lines } or { spline }'
 
 
@@ -260,10 +254,10 @@ def _switch(table: _Table, key: str) -> bool:
 
 
 def _rest_curvature(value: object, length: float) -> list[Profile]:
-    if not isinstance(value, list) or len(value) != len(_STRAINS):
+    if not isinstance(value, list) or len(value) != len(STRAINS):
         remedy = '["0 1/m", "2 1/m", "0 1/m"]: twist, and curvature about y and about z'
         raise InputError(f"rest_curvature holds three profiles, got {value!r}; write {remedy}")
-    parts = zip(value, _STRAINS, strict=True)
+    parts = zip(value, STRAINS, strict=True)
     return [read_profile(part, length, f"rest_curvature: {name}", "curvature") for part, name in parts]
 
 
@@ -362,7 +356,7 @@ def check_keys(where: str, table: _Table, required: Sequence[str], optional: Seq
 
 def _table(manipulator: Manipulator) -> dict[str, object]:
     length, rest = manipulator.length, manipulator.rest_curvature or ()
-    parts = zip(rest, _STRAINS, strict=False)
+    parts = zip(rest, STRAINS, strict=False)
     bent = [profile_form(part, length, f"rest_curvature: {name}", "curvature") for part, name in parts]
     points = manipulator.point_masses
     masses = [{"at": number_text(point.arc_length), "mass": number_text(point.mass, "mass")} for point in points]

@@ -3,8 +3,9 @@
 Between two points it is a straight line, unless a smooth curve through the points stays between their values.
 """
 
+from collections.abc import Callable
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,11 +13,9 @@ from ..errors import InputError
 from ..robot.profiles import Constant, Linear, Piecewise, Profile, Spline
 from ..units import shown
 
-if TYPE_CHECKING:
-    from scipy.interpolate import BSpline
-
 MOST_KNOTS = 64  # of a spline
 MOST_LINES = 1000
+BETWEEN = 257  # places between two points at which a smooth curve is looked at
 
 
 class Taken(NamedTuple):
@@ -128,26 +127,17 @@ def _spline(s: np.ndarray, values: np.ndarray, tolerance: float, most: int) -> t
     return None, reason
 
 
-def _strays(curve: "BSpline", s: np.ndarray, values: np.ndarray, tolerance: float) -> str:
-    """How a cubic spline leaves the range of two neighbouring points, or turns back between them; "" if it does not.
-
-    Within an interval its extremes are at the ends, where it is near the points, or where its slope is zero. The slope
-    of each piece is a quadratic, so all these places are found.
-    """
-    from scipy.interpolate import PPoly
-
-    level = PPoly.from_spline(curve).derivative().roots(discontinuity=False, extrapolate=False)
-    level = np.sort(np.concatenate([level, curve.t]))  # a piece may be level all along, from knot to knot
-    level = level[np.isfinite(level) & (level > s[0]) & (level < s[-1])]
-    i = np.clip(np.searchsorted(s, level, side="right") - 1, 0, len(s) - 2)
-    height, before, after = curve(level), values[i], values[i + 1]
+def _strays(curve: Callable[[np.ndarray], np.ndarray], s: np.ndarray, values: np.ndarray, tolerance: float) -> str:
+    """How a curve leaves the range of two neighbouring points, or turns back between them; "" if it does not."""
+    grid = s[:-1, None] + np.diff(s)[:, None] * np.linspace(0.0, 1.0, BETWEEN)
+    height, before, after = curve(grid), values[:-1, None], values[1:, None]
     beyond = np.maximum(np.minimum(before, after) - height, height - np.maximum(before, after))
     if np.any(beyond > tolerance):
-        worst = int(np.argmax(beyond))
-        much, where = (shown(float(f"{x[worst]:.3g}"), "length") for x in (beyond, level))
+        worst = np.argmax(beyond)
+        much, where = (shown(float(f"{x.flat[worst]:.3g}"), "length") for x in (beyond, grid))
         return f"leave the range of neighbouring points by {much} at s = {where}"
-    for own in np.unique(i):
-        rise = np.sign(values[own + 1] - values[own]) * height[i == own]
-        if np.max(np.maximum.accumulate(rise) - rise) > 2 * tolerance:  # no monotone curve is that near
-            return f"turn back between s = {shown(s[own], 'length')} and {shown(s[own + 1], 'length')}"
+    rise = np.sign(after - before) * height
+    back = np.max(np.maximum.accumulate(rise, axis=1) - rise, axis=1)
+    for own in np.flatnonzero(back > 2 * tolerance)[:1]:  # no monotone curve is that near
+        return f"turn back between s = {shown(s[own], 'length')} and {shown(s[own + 1], 'length')}"
     return ""

@@ -68,12 +68,11 @@ def heading_of(cell: str, kind: Kind, given: Mapping[str, str]) -> Heading:
 
 def _as_written(text: str, kind: Kind) -> Heading:
     """The heading of a text with its unit in brackets, in parentheses or behind the name."""
-    if name := _MARKED.fullmatch(text):
-        column = _known(name[1], kind)
-        unit = name[2] if name[2] is not None else name[3]
-        if column is not None and kind.dimension_of(column) is None and (name[3] is not None or unit in ("-", "1")):
-            unit = None  # direction (in/out)
-        return Heading(text, column, None if column is None or unit is None else unit.strip())
+    bare, unit = name_and_unit(text)
+    if unit is not None:
+        column = _known(bare, kind)
+        plain = column is None or (kind.dimension_of(column) is None and (text.endswith(")") or unit in ("-", "1")))
+        return Heading(text, column, None if plain else unit)  # direction (in/out) is plain
     if (column := _known(text, kind)) is not None:
         return Heading(text, column, None)
     if name := _BEHIND.fullmatch(text):

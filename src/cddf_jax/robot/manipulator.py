@@ -31,7 +31,8 @@ from .profiles import (
 
 KINEMATICS = ("published", "exact")
 _TIMES = np.cross(np.eye(3)[None, :], np.eye(3)[:, None]).swapaxes(1, 2)  # [rho, component, u] of u x rho
-_STIFFNESSES = ("bending_stiffness", "torsional_stiffness", "axial_stiffness", "shear_stiffness")
+STRAINS = ("twist", "about y", "about z")  # parts of the curvature at rest, in words
+STIFFNESSES = ("bending_stiffness", "torsional_stiffness", "axial_stiffness", "shear_stiffness")
 Taper = ArrayLike | Sequence[ArrayLike]  # one number, or a pair (base, tip)
 
 
@@ -234,7 +235,7 @@ class Manipulator(eqx.Module):
         found: dict[str, Any] = {name: getattr(self, name) for name in ("outer_radius", "inner_radius")}
         found |= {f"tendons.{i}.offset": tendon.offset for i, tendon in enumerate(self.tendons)}
         found |= {f"tendons.{i}.angle": tendon.angle for i, tendon in enumerate(self.tendons)}
-        found |= {name: getattr(self, name) for name in ("youngs_modulus", *_STIFFNESSES, "mass_per_length")}
+        found |= {name: getattr(self, name) for name in ("youngs_modulus", *STIFFNESSES, "mass_per_length")}
         found |= {f"rest_curvature.{i}": part for i, part in enumerate(self.rest_curvature or ())}
         return {name: found[name] for name in found if callable(found[name])}
 
@@ -569,7 +570,6 @@ def _taper(name: str, value: Any, length: ArrayLike) -> Constant | Linear:
 
 # --- what `print` shows --------------------------------------------------------------------------
 
-_STRAINS = ("twist", "about y", "about z")
 _TOLD_IF_ZERO = ("friction_coefficient", "poissons_ratio")
 _OF_SPACE = ("poissons_ratio", "axial_factor", "shear_factor")
 _BESIDE = ("length", "offset", "angle", "rest_curvature")  # have words of their own
@@ -587,7 +587,7 @@ def _in_words(manipulator: Manipulator) -> str:
     if manipulator.in_space:
         kind = "in space, its axis stretches and shears" if manipulator.extensible else "in space"
     told = _told(manipulator, length, () if manipulator.in_space else _OF_SPACE)
-    rest = zip(_STRAINS, manipulator.rest_curvature or (), strict=False)
+    rest = zip(STRAINS, manipulator.rest_curvature or (), strict=False)
     return "\n".join(
         [
             f"Manipulator of {shown(length, 'length')}, {kind}",

@@ -13,7 +13,7 @@ from ..errors import InputError
 from ..numerics.arrays import evaluated
 from ..quantities import QUANTITIES
 from .loads import Loads
-from .manipulator import Manipulator, PointMass, Tendon
+from .manipulator import STIFFNESSES, STRAINS, Manipulator, PointMass, Tendon
 from .profiles import Number, Piecewise, Polyline, Profile, Spline, breakpoints
 
 _SLACK = 1e-6  # of the length: finer than any workshop, coarser than the rounding of float32
@@ -26,9 +26,7 @@ _ZERO_OR_MORE = (
     *("friction_coefficient", "drag", "density", "mass", "friction_moment"),
     *("free_length", "outside_compliance", "outside_friction", "outside_drag"),
 )
-_STIFFNESSES = ("youngs_modulus", "bending_stiffness", "torsional_stiffness", "axial_stiffness", "shear_stiffness")
-_DEMANDED_ALONG = {**dict.fromkeys(_STIFFNESSES, "above 0"), "mass_per_length": "0 or more"}
-_STRAINS = ("twist", "about y", "about z")
+_DEMANDED_ALONG = {**dict.fromkeys(("youngs_modulus", *STIFFNESSES), "above 0"), "mass_per_length": "0 or more"}
 _LARGEST_RATIO = 5.0  # Poisson's; a material has 0.5 at most, a body that is soft in torsion more: here E / G = 12
 
 
@@ -54,7 +52,7 @@ def check_manipulator(manipulator: Manipulator, offsets_outside_wall: bool) -> N
                 _check_sign(name, demand, _values(name, manipulator.profiles[name], s), s)
         for number, tendon in enumerate(manipulator.tendons, 1):
             _check_tendon(f"tendon {number}", manipulator, tendon, s, offsets_outside_wall)
-        for strain, part in zip(_STRAINS, manipulator.rest_curvature or (), strict=False):
+        for strain, part in zip(STRAINS, manipulator.rest_curvature or (), strict=False):
             _values(f"rest_curvature {strain}", part, s)
         _check_apart(manipulator, s)
 
