@@ -95,15 +95,6 @@ def test_the_source_distribution_holds_what_the_tests_need(built):
     assert not any(name.startswith(("out/", ".venv/", "dist/")) for name in names)
 
 
-def works(python, tmp_path):
-    """The solve meets the closed form, and the command answers."""
-    solved, expected = map(float, run(python, "-c", SOLVE, cwd=tmp_path).split())
-    assert solved == pytest.approx(expected, rel=1e-9)
-    command = python.with_name("cddf")
-    told = run(command, "solve", ROOT / "data/smooth_sil_940.toml", "-t", "10 N", "--json", cwd=tmp_path)
-    assert '"tip_tension"' in told
-
-
 def told(declared, extra):
     """The requirements among some declared ones that hold here, for an extra or "" for none."""
     return [r for r in map(Requirement, declared) if r.marker is None or r.marker.evaluate({"extra": extra})]
@@ -137,7 +128,12 @@ def declared_alone(wheel, extra, home):
 
 
 def test_the_wheel_works_with_what_it_declares_alone(built, tmp_path):
-    works(declared_alone(built[0], "cli", tmp_path / "declared"), tmp_path)
+    """The solve meets the closed form, and the command answers."""
+    python = declared_alone(built[0], "cli", tmp_path / "declared")
+    solved, expected = map(float, run(python, "-c", SOLVE, cwd=tmp_path).split())
+    assert solved == pytest.approx(expected, rel=1e-9)
+    command = python.with_name("cddf"), "solve", ROOT / "data/smooth_sil_940.toml", "-t", "10 N", "--json"
+    assert '"tip_tension"' in run(*command, cwd=tmp_path)
 
 
 def test_the_library_works_without_what_the_command_line_needs(built, tmp_path):

@@ -78,6 +78,7 @@ def test_the_design_of_the_readme(readme):
     assert float(cddf.solve(found.manipulator, found.objective).tip_angle) == pytest.approx(np.pi / 2, rel=1e-8)
 
 
+@pytest.mark.slow
 def test_the_fit_of_the_readme(cddf_command, monkeypatch):
     monkeypatch.chdir(ROOT)
     command, shown = re.search(r"```console\n\$ cddf (.*?)\n(.*?)```", README, re.S).groups()

@@ -24,7 +24,7 @@ from refusals import refused
 from sweep_child import axes
 
 import cddf_jax as cddf
-from cddf_jax.batch import store as store_module, work as work_module
+from cddf_jax.batch import work as work_module
 from cddf_jax.batch.chunks import Layout, Variable, even_chunks
 from cddf_jax.sweeping.axes import dimensions_of
 from cddf_jax.sweeping.sweep import Sweep
@@ -182,21 +182,31 @@ def test_a_process_that_cannot_open_the_store_stops_the_others_too(tmp_path):
 # --- stopped and started again ----------------------------------------------------------------------
 
 
+def stopped_at(patched, last, error):
+    """Every write of an array of the store from the `last` one on fails."""
+    count, write = itertools.count(1), zarr.Array.__setitem__
+
+    def stopped(array, region, values):
+        if array.name.strip("/") in STORED and next(count) >= last:
+            raise error
+        write(array, region, values)
+
+    patched.setattr(zarr.Array, "__setitem__", stopped)
+
+
 def test_stopped_at_any_write_it_goes_on_where_it_was(plain, tmp_path, monkeypatch):
-    """Stopped at the 1st, 4th and 11th write of an array; test_killed_at_random_times kills a real process."""
+    """Stopped at the 1st, 4th and 11th write of an array, at last by a full disk; test_killed_at_random_times kills a
+    real process."""
     path, kept = tmp_path / "s.zarr", {}
-    for last in (1, 4, 11):
-        with monkeypatch.context() as patched:
-            count, write = itertools.count(1), zarr.Array.__setitem__
-
-            def stopped(array, region, values, count=count, write=write, last=last):
-                if array.name.strip("/") in STORED and next(count) >= last:
-                    raise KeyboardInterrupt
-                write(array, region, values)
-
-            patched.setattr(zarr.Array, "__setitem__", stopped)
-            with pytest.raises(KeyboardInterrupt):
-                cddf.sweep(paper_body(), axes(SOLVES), out=path, chunk=50, **OPTIONS)
+    full = pytest.raises(cddf.InputError, match="the disk is full; free some of it")
+    for last, error, said in (
+        (1, KeyboardInterrupt(), pytest.raises(KeyboardInterrupt)),
+        (4, KeyboardInterrupt(), pytest.raises(KeyboardInterrupt)),
+        (11, OSError(errno.ENOSPC, "No space left on device"), full),
+    ):
+        with monkeypatch.context() as patched, said:
+            stopped_at(patched, last, error)
+            cddf.sweep(paper_body(), axes(SOLVES), out=path, chunk=50, **OPTIONS)
         assert all(file.stat().st_mtime_ns == written for file, written in kept.items())  # not computed again
         kept = {file: file.stat().st_mtime_ns for file in whole_chunks(path)}
     assert len(kept) == 2  # four arrays a chunk: three writes make none, ten more two
@@ -240,35 +250,6 @@ def test_a_store_without_one_of_its_arrays_is_said_to_be_damaged(copied):
     (copied / "tip_position" / "zarr.json").unlink()
     with pytest.raises(cddf.InputError, match=r"s\.zarr is damaged: its array 'tip_position' cannot be read"):
         cddf.sweep(paper_body(), axes(SOLVES), out=copied, **OPTIONS)
-
-
-def test_a_full_disk_is_said_and_nothing_is_lost(plain, tmp_path, monkeypatch):
-    path, write = tmp_path / "s.zarr", store_module.ZarrStore.write
-    written = []
-
-    class FullGroup:
-        def __init__(self, group):
-            self.group = group
-
-        def __getitem__(self, name):
-            if len(written) == 3 and name == "tip_position":
-                raise OSError(errno.ENOSPC, "No space left on device")
-            return self.group[name]
-
-    def full(self, index, blocks):
-        real, self._group = self._group, FullGroup(self._group)
-        try:
-            write(self, index, blocks)
-        finally:
-            self._group = real
-        written.append(index)
-
-    monkeypatch.setattr(store_module.ZarrStore, "write", full)
-    with pytest.raises(cddf.InputError, match="the disk is full; free some of it"):
-        cddf.sweep(paper_body(), axes(SOLVES), out=path, chunk=50, **OPTIONS)
-    monkeypatch.undo()
-    assert len(whole_chunks(path)) == 3
-    same(cddf.sweep(paper_body(), axes(SOLVES), out=path, **OPTIONS), plain)
 
 
 def test_how_far_it_is(tmp_path, capfd, said):

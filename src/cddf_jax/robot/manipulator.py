@@ -607,7 +607,7 @@ def _told(owner: Manipulator | Tendon, length: float, left_out: Sequence[str] = 
     """What is given, in the order of the fields, and whether it is a profile; a number that is 0 is mostly left out."""
     told = []
     for name in (field.name for field in fields(owner)):
-        value = getattr(owner, name)
+        value: Any = getattr(owner, name)
         if name not in QUANTITIES or name in (*_BESIDE, *left_out) or value is None:
             continue
         if callable(value):
