@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from bodies import paper_body
-from hypothesis import given, strategies as st
+from hypothesis import given, settings, strategies as st
 from refusals import refused
 
 import cddf_jax as cddf
@@ -37,6 +37,7 @@ def test_sound_bodies_pass(body):
     assert body.validate() is body
 
 
+@settings(max_examples=20)
 @given(
     st.floats(1e-3, 10),
     st.floats(0.3, 1),

@@ -196,9 +196,7 @@ def test_loops_of_several_tendons_and_under_loads_are_traces():
     np.testing.assert_allclose(
         slopes.tip_angle_by_friction_coefficient[:, 1], differences, rtol=1e-4
     )  # rounding of slips
-    constant = cddf.sweep(PAIR, across, history="base_tension_1", **few)
-    history = cddf.trace(PAIR, [[pull, 20.0] for pull in PULL], throw=False, **few)
-    np.testing.assert_allclose(constant.tip_angle[:, 1], history.tip_angle, rtol=1e-7)
+    np.testing.assert_allclose(slopes.tip_angle[:, 1], angles(mu), rtol=1e-7)
     pushed = {"path": {"base_tension": PULL, "loads.tip_force.1": [0.0, -0.1, -0.2]}}
     changing = cddf.sweep(paper_body("exact"), pushed, history=True, **few)
     loads = [cddf.Loads(tip_force=(0.0, force)) for force in (0.0, -0.1, -0.2)]
@@ -385,11 +383,6 @@ BAD = {
     "one name": ({"base_tension": [1.0]}, {"outputs": "tip_angle"}, "outputs must be a tuple of names"),
     "tension twice": ({"base_tension": [1.0]}, {"base_tension": 1.0}, "given and an axis"),
     "no function": ({"base_tension": [1.0]}, {"observables": {"x": 3}}, "'x' must be a function"),
-    "a bad function": (
-        {"base_tension": [1.0]},
-        {"observables": {"x": lambda found: found.nothing}},
-        "the observable 'x' does not give an array",
-    ),
     "direction": ({"direction": [1.0, 0.0]}, {"base_tension": 1.0}, "must hold 1 for sliding in and -1"),
     "overruled": (
         {"friction_coefficient": [0.1]},

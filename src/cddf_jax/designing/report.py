@@ -9,7 +9,7 @@ from ..files.writing import markdown_table
 from ..units import Dimension, preferred, shown
 from .constrained import TOLERANCE
 from .free_numbers import dimension_of_number, number_in_words
-from .results import Design, FreeNumber, LimitReport, fixed_numbers
+from .results import Design, LimitReport, fixed_numbers
 
 LARGEST = 12  # sensitivities in the report
 NOT_IN_JSON = ("manipulator", "start", "cases", "outcome")
@@ -51,14 +51,11 @@ def _numbers(found: Design) -> Iterator[str]:
     rows = []
     for name, free in found.free.items():
         start, value, lower, upper = (number_in_words(name, x) for x in free[:4])
-        rows.append((name, start, value, f"{lower} to {upper}", free.status, _of_bound(found, name, free)))
+        worth = "" if free.status == "inside" else _worth(found, free.multiplier, dimension_of_number(name))
+        rows.append((name, start, value, f"{lower} to {upper}", free.status, worth))
     head = ("free number", "start", "design", "bounds", "", "gain by a wider bound")
     yield from markdown_table(head, rows, right=("start", "design"))
     yield ""
-
-
-def _of_bound(found: Design, name: str, free: FreeNumber) -> str:
-    return "" if free.status == "inside" else _worth(found, free.multiplier, dimension_of_number(name))
 
 
 def _limits(found: Design) -> Iterator[str]:

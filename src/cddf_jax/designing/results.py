@@ -108,7 +108,8 @@ class Design:
             return {}
         problem = self.outcome.problem
         unit = unit_of_objective(problem)
-        return {label_of(fixed): unit * slope for fixed, slope in sensitivities(problem, self.outcome.local).items()}
+        slopes = sensitivities(problem, self.outcome.local).items()
+        return {name if case is None else f"case {case + 1}: {name}": unit * slope for (case, name), slope in slopes}
 
     @cached_property
     def equilibria(self) -> tuple[Equilibrium, ...]:
@@ -272,12 +273,6 @@ def limit_reports(problem: DesignProblem, local: LocalMinimum, found: DesignEval
 
 
 # --- numbers that are not free --------------------------------------------------------------------
-
-
-def label_of(fixed: Fixed) -> str:
-    """As in `Design.sensitivity`: "youngs_modulus", "case 1: base_tension"."""
-    case, name = fixed
-    return name if case is None else f"case {case + 1}: {name}"
 
 
 def fixed_numbers(problem: DesignProblem) -> dict[Fixed, float]:

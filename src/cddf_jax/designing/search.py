@@ -119,10 +119,21 @@ class DesignSearch:
         return still & (np.max(np.abs(slopes), axis=0) * self.ranges <= FLAT)
 
     def _from(self, z: np.ndarray) -> SearchResult:
-        """The search from one start, repeated while it ends too early or limits are broken between the stations."""
+        """The search from one start, repeated while it ends too early or limits are broken between the stations.
+
+        If limits are broken at its end, it begins again at the point that breaks them least.
+        """
         problem, x, looks = self.problem, self.with_heights(z), 0
         while True:
-            local, blocking = self._search(problem, x)
+            local, blocking = self._minimum(problem, x), ()
+            if not local.feasible:
+                least = least_violation(problem, local.point.x, *self.bounds)
+                x = least.point.x[:-1]
+                if least.point.objective <= TOLERANCE:
+                    local = self._minimum(problem, x)
+                else:
+                    point, blocking = problem(x), self._blocking(problem, least)
+                    local = local._replace(point=point, optimality=optimality(point, *self.bounds))
             violation, places = broken_between(problem, local)
             done = violation <= TOLERANCE and (local.stationary or local.iterations >= self.max_iterations)
             if done or not local.feasible or looks == LOOKS:
@@ -131,22 +142,9 @@ class DesignSearch:
             moved = np.concatenate([kept, wandering[len(places) :], places])  # in place of the oldest
             problem, x, looks = replace(problem, stations=jnp.asarray(moved)), local.point.x, looks + 1
 
-    def _search(self, problem: DesignProblem, x: np.ndarray) -> tuple[LocalMinimum, tuple[str, ...]]:
-        """One search; if limits are broken at its end, another one from the point that breaks them least."""
-
-        def minimum(x: np.ndarray) -> LocalMinimum:
-            with stage("searching"):
-                return minimise_constrained(problem, x, *self.bounds, max_iterations=self.max_iterations)
-
-        local = minimum(x)
-        if local.feasible:
-            return local, ()
-        least = least_violation(problem, local.point.x, *self.bounds)
-        inner = least.point.x[:-1]
-        if least.point.objective <= TOLERANCE:
-            return minimum(inner), ()
-        point = problem(inner)
-        return local._replace(point=point, optimality=optimality(point, *self.bounds)), self._blocking(problem, least)
+    @stage("searching")
+    def _minimum(self, problem: DesignProblem, x: np.ndarray) -> LocalMinimum:
+        return minimise_constrained(problem, x, *self.bounds, max_iterations=self.max_iterations)
 
     def _blocking(self, problem: DesignProblem, least: LocalMinimum) -> tuple[str, ...]:
         """Limits and bounds with multipliers that are not zero, at the point that breaks them least."""

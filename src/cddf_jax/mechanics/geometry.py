@@ -31,7 +31,6 @@ from ..numerics.rotations import (
     turned_by,
 )
 from ..robot.cross_section import AnySection, planar, spatial
-from ..robot.loads import planar_cross
 from ..robot.manipulator import Manipulator
 from . import bending, space
 from .friction import PerTendon
@@ -114,7 +113,7 @@ class Plane:
 
     def moment_rate(self, axis: Array, force: Array) -> Array:
         """M_ext' = -(t x N), N."""
-        return -planar_cross(axis, force)
+        return -(axis[..., 0] * force[..., 1] - axis[..., 1] * force[..., 0])
 
     def turning(
         self,

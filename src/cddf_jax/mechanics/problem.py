@@ -18,7 +18,7 @@ from ..numerics.arrays import zero_as
 from ..numerics.elements import LARGEST_ORDER, Elements, elements_between, smooth_pieces
 from ..numerics.fixed_point import without_derivative
 from ..robot.cross_section import AnySection, SpatialSection, where_present
-from ..robot.loads import Loads, PointLoad, force_per_length
+from ..robot.loads import Loads, PointLoad
 from ..robot.manipulator import Manipulator, PointMass
 from .friction import PerTendon, Pull, is_proportional, spent_rate, unspent
 from .geometry import PLANE, SPACE, Geometry
@@ -295,8 +295,8 @@ def loads_at_points(loads: Loads, masses: Iterable[PointMass]) -> AtPoints | Non
 
 
 def load_rate(manipulator: Manipulator, arc_length: Array, loads: Loads) -> Float[Array, "*points components"]:
-    """The distributed dead loads per length, N/m."""
-    return force_per_length(loads, manipulator.distributed_mass(arc_length))
+    """The sum of all distributed dead loads, N/m: the weight of the body."""
+    return manipulator.distributed_mass(arc_length)[..., None] * jnp.asarray(loads.gravity)
 
 
 def loaded_to(problem: Problem, fraction: Number, base_moment: Moment) -> Problem:

@@ -4,7 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from ..units import shown
 from .profiles import Number, as_number
@@ -126,20 +126,3 @@ def loads_in_space(loads: Loads) -> Loads:
 
     points = [PointLoad(point.arc_length, vector(point.force), turning(point.moment)) for point in loads.points]
     return Loads(vector(loads.tip_force), turning(loads.tip_moment), vector(loads.gravity), points)
-
-
-def force_per_length(loads: Loads, mass_per_length: Float[Array, "*points"]) -> Float[Array, "*points components"]:
-    """The sum of all distributed dead loads, N/m: the weight of the body.
-
-    To add a distributed load, add a field to `Loads` and a term here; the solver and the energy use this function.
-
-    Args:
-        loads: on the body.
-        mass_per_length: at each point, kg/m.
-    """
-    return mass_per_length[..., None] * jnp.asarray(loads.gravity)
-
-
-def planar_cross(a: Float[Array, "*points 2"], b: Float[Array, "*points 2"]) -> Float[Array, "*points"]:
-    """The product a x b of two vectors in the plane."""
-    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]

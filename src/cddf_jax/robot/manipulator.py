@@ -610,7 +610,7 @@ def _told(owner: Manipulator | Tendon, length: float, left_out: Sequence[str] = 
         value: Any = getattr(owner, name)
         if name not in QUANTITIES or name in (*_BESIDE, *left_out) or value is None:
             continue
-        if callable(value):
+        if not isinstance(value, jax.Array | np.ndarray):
             told.append((f"{name} {profile_in_words(value, length, dimension_of(name))}", True))
         elif value or name in _TOLD_IF_ZERO:
             told.append((f"{name} {shown(value, dimension_of(name))}", False))

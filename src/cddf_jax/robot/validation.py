@@ -214,7 +214,7 @@ def _check_tendon(name: str, manipulator: Manipulator, tendon: Tendon, s: np.nda
 def _check_jumps(name: str, profile: Profile, reach: float, shown: Callable[[float], str], *, turns: bool) -> None:
     """Refuse a jump, except by whole turns where `turns` says that it is an angle."""
     sides = _sides(breakpoints(profile), reach)
-    before, after = (_at(profile, side) for side in sides)
+    before, after = (evaluated(profile, side) for side in sides)
     jump = _least_turn(after - before) if turns else after - before
     slack = _SLACK * np.maximum(1.0 if turns else reach, np.abs(before))  # a steep profile moves between the sides
 
@@ -239,8 +239,8 @@ def _check_apart(manipulator: Manipulator, s: np.ndarray) -> None:
         assert other.angle is not None
         reach = min(float(manipulator.length if t.end is None else t.end) for t in (one, other))
         at = s[s <= reach]
-        offset, turn = _at(one.offset, at), _at(one.angle, at) - _at(other.angle, at)
-        away, across = offset - _at(other.offset, at), offset[:-1] * _least_turn(turn[:-1])
+        offset, turn = evaluated(one.offset, at), evaluated(one.angle, at) - evaluated(other.angle, at)
+        away, across = offset - evaluated(other.offset, at), offset[:-1] * _least_turn(turn[:-1])
         here, step = np.stack([away[:-1], across]), np.stack([np.diff(away), offset[:-1] * np.diff(turn)])
         size = np.sum(step * step, axis=0)
         nearest = np.clip(-np.sum(here * step, axis=0) / np.where(size > 0, size, 1.0), 0.0, 1.0)
@@ -249,7 +249,7 @@ def _check_apart(manipulator: Manipulator, s: np.ndarray) -> None:
 
         def found(k: int, place: np.ndarray = place, offset: Profile = one.offset, angle: Profile = one.angle) -> str:
             there = place[k : k + 1]
-            return f"both lie {_mm(_at(offset, there)[0])} from the axis at {_deg(_at(angle, there)[0])}"
+            return f"both lie {_mm(evaluated(offset, there)[0])} from the axis at {_deg(evaluated(angle, there)[0])}"
 
         rule, remedy = f"tendons {i} and {j} must not touch or cross", "change an offset or an angle"
         _demand(apart, place, rule, found, remedy)
@@ -261,7 +261,7 @@ def _least_turn(angle: np.ndarray) -> np.ndarray:
 
 
 def _values(name: str, profile: Profile, s: np.ndarray, unused: np.ndarray | bool = False) -> np.ndarray:
-    values = _at(profile, s)
+    values = evaluated(profile, s)
     if values.shape != s.shape:
         raise InputError(
             f"{name} must give one value per arc length, got shape {values.shape} for {s.shape}; "
@@ -270,10 +270,6 @@ def _values(name: str, profile: Profile, s: np.ndarray, unused: np.ndarray | boo
     finite = np.isfinite(values) | unused
     _demand(finite, s, f"{name} must be finite", lambda i: f"it is {values[i]}", "correct the profile there")
     return values
-
-
-def _at(profile: Profile, s: np.ndarray) -> np.ndarray:
-    return evaluated(profile, s)
 
 
 def _demand(good: np.ndarray, s: np.ndarray, rule: str, found: Callable[[int], str], remedy: str) -> None:

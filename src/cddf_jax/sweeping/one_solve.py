@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from ..batch.chunks import Coordinate, Variable
-from ..errors import InputError, within
+from ..errors import within
 from ..history.history import History
 from ..history.trace import trace
 from ..mechanics.problem import Method
@@ -174,7 +174,7 @@ class OneSolve(eqx.Module):
             options = {"direction": there.direction, "method": self.method, "nodes": self.nodes}
             found = solve(there.manipulator, there.base_tension, there.loads, throw=False, **options)
             outputs = {name: getattr(found, name) for name in self.outputs}
-            outputs |= {name: _observed(name, function, found) for name, function in self.observables}
+            outputs |= {name: jnp.asarray(function(found)) for name, function in self.observables}
         else:
             given = there.manipulator, *_along(there, self.path)
             found = trace(*given, nodes=self.nodes, short_steps=self.short_steps, throw=False)
@@ -201,14 +201,6 @@ def _after_each_step(history: History, name: str) -> Array:
         return getattr(history.equilibria, name)
     values = getattr(history, name)
     return values.reshape(len(values), -1) if dims == ("tendon",) else values
-
-
-def _observed(name: str, function: Callable[[Equilibrium], ArrayLike], found: Equilibrium) -> Array:
-    try:
-        return jnp.asarray(function(found))
-    except (TypeError, ValueError, AttributeError) as error:
-        why = str(error).splitlines()[0]
-        raise InputError(f"sweep: the observable {name!r} does not give an array for an Equilibrium ({why})") from None
 
 
 def prepared(case: Case, kinematics: str) -> Case:
