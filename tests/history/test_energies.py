@@ -40,25 +40,28 @@ def test_a_loop_of_the_paper():
 
 
 @pytest.mark.slow
-def test_they_go_on():
-    body = paper_body("exact")
-    history, on = cddf.trace(body, LOOP), cddf.trace(body, LOOP[4:], start=cddf.trace(body, LOOP[:4]))
-    for name in ("work", "friction_loss", "stored_energy"):
-        np.testing.assert_allclose(getattr(on, name), getattr(history, name)[4:], rtol=1e-9, atol=1e-15)
-
-
-SMALL_LOOPS = [75.0, 40.0, 60.0, 30.0, 80.0, 0.0, 0.4, 30.0]  # that close; full release; slack with drag
+def test_a_history_goes_on():
+    """The same loop once more, from its end on: all comes back, and it loses again what it has lost since the pull."""
+    history = cddf.trace(paper_body("exact"), LOOP)
+    on = cddf.trace(paper_body("exact"), LOOP, start=history)
+    for name in ("tip_tension", "tip_angle", "tip_position", "tendon_displacement", "stored_energy"):
+        np.testing.assert_allclose(getattr(on, name), getattr(history, name), rtol=1e-9, atol=1e-15)
+    np.testing.assert_array_equal(on.num_turns, history.num_turns)
+    for name in ("work", "friction_loss"):
+        values = np.asarray(getattr(history, name))
+        np.testing.assert_allclose(getattr(on, name), values[7] + values - values[0], rtol=1e-9)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "changes", [{"drag": 5.0}, {"tendon_offset": (0.012, 0.008)}, {"tendon_offset": (0.012, 0.008), "drag": 8.0}]
-)
-def test_what_is_not_stored_is_lost(changes):
-    """Both come from integrals of their own."""
-    history = cddf.trace(paper_body(**{"kinematics": "exact", **changes}), SMALL_LOOPS)
-    assert residual(history) < 1e-9
-    assert np.all(np.diff(history.friction_loss) > 0)
+@pytest.mark.parametrize("changes", [{"kinematics": "published"}, {"tendon_offset": (0.012, 0.008), "drag": 8.0}])
+def test_increments_lose_the_same(changes):
+    """Friction and slip of each increment, which know no fronts. The published moment does not do the work of x."""
+    body, path = paper_body(**{"kinematics": "exact", **changes}), [75.0, 40.0, 60.0, 0.0]
+    history, found = cddf.trace(body, path), cddf.trace(body, path, cddf.Loads(), nodes=8, throw=False)
+    np.testing.assert_allclose(found.friction_loss, history.friction_loss, rtol=2e-3)
+    np.testing.assert_allclose(found.work, history.work, rtol=2e-3)
+    if "kinematics" in changes:
+        assert 1e-3 < residual(history) < 0.1
 
 
 @pytest.mark.slow
@@ -81,13 +84,6 @@ def test_a_tendon_that_ends_before_the_tip(friction):
     assert residual(history) < 1e-9
     if friction == 0:
         np.testing.assert_allclose(history.work[2:], [history.work[0], 0.0], atol=1e-9 * history.work[1])
-
-
-@pytest.mark.slow
-def test_the_published_moment_does_not_do_the_work_of_the_tendon():
-    history = cddf.trace(paper_body("published"), LOOP)
-    assert 1e-3 < residual(history) < 0.1
-    np.testing.assert_allclose(history.stored_energy[5], 0.0, atol=1e-15)
 
 
 @pytest.mark.slow

@@ -13,7 +13,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ..mechanics import space
+from ..mechanics import bending, space
+from ..mechanics.friction import PerTendon
 from ..mechanics.problem import at_nodes, guarded_section, strain_along, tension_of
 from ..numerics.arrays import cos_sin, zero_as
 from ..numerics.rotations import length_of
@@ -37,6 +38,7 @@ class Onward(NamedTuple):
     position: Float[Array, " components"]  # m
     pulled_in: Number  # m, of the tendon
     stored: Number  # energy in body and tendon, J
+    given: Number  # energy that the tendon has given to the body or stored itself, J
     error: Number
     solved: Bool[Array, ""]
     status: Int[Array, ""]
@@ -64,7 +66,7 @@ def slid_up_to(body: Manipulator, nodes: int, tension: Number, direction: Number
     solved = found._dense.solved
     # the status compares the direction with the travel from rest, which does not matter here
     status = jnp.where(found.status == Status.direction_contradicted, Status.successful, found.status)
-    tension, heading, position, pulled_in, stored, error = _zero_unless(
+    tension, heading, position, pulled_in, stored, given, error = _zero_unless(
         solved,
         (
             found.tip_tension[0],
@@ -72,10 +74,11 @@ def slid_up_to(body: Manipulator, nodes: int, tension: Number, direction: Number
             found.tip_position,
             found.tendon_displacement[0] - outside,
             stored_energy(found._dense),
+            given_energy(found._dense),
             found.error_estimate,
         ),
     )
-    return Slid(front, tension, Onward(heading, position, pulled_in, stored, error, solved, status))
+    return Slid(front, tension, Onward(heading, position, pulled_in, stored, given, error, solved, status))
 
 
 def ends_of_motion(body: Manipulator, nodes: int, motion: Motion, *, refined: bool = True) -> tuple[Number, Slid, Slid]:
@@ -115,6 +118,26 @@ def stored_energy(dense: Dense) -> Number:
     return jnp.sum(cut.gain(elastic + jnp.sum(stretch, axis=-1))) / 2
 
 
+def given_energy(dense: Dense) -> Number:
+    """The energy that a tendon has given to the body or stored itself, J: the integral of T over the length given way.
+
+    In the exact kinematics it is the elastic energy. The published moment is not the derivative of that length.
+    """
+    body, cut = dense.manipulator, dense.elements
+    if body.kinematics == "exact":
+        return stored_energy(dense)
+    section = planar(jax.vmap(jax.vmap(lambda s: guarded_section(body, s)))(cut.nodes))
+    tension = tension_of(section, dense.base_tension, dense.nodes.pull)
+
+    def shorter(tension: PerTendon) -> PerTendon:
+        kappa = at_nodes(bending.curvature, (0, 0))(section, tension)
+        return at_nodes(bending.slip_rate, (0, 0, 0, None))(section, kappa, tension, body.tendon_compliance)
+
+    rule = cut.rule
+    mean = jnp.tensordot(rule.weights, jax.vmap(lambda part: shorter(part * tension))(jnp.asarray(rule.nodes)), 1)
+    return jnp.sum(cut.gain(jnp.sum(tension * (shorter(tension) - mean), axis=-1)))
+
+
 def tips(body: Manipulator, own: Slid, other: Slid, turns: Turns) -> Tip:
     """The tip after each step.
 
@@ -126,7 +149,7 @@ def tips(body: Manipulator, own: Slid, other: Slid, turns: Turns) -> Tip:
     """
     length = jnp.asarray(body.length)
     zero = zero_as((own, length))
-    nothing = Onward(*pose_of_base(body, zero), zero, zero, zero, zero == 0, first_of((zero > 1, Status.locked)))
+    nothing = Onward(*pose_of_base(body, zero), zero, zero, zero, zero, zero == 0, first_of((zero > 1, Status.locked)))
     max_turns = turns.open.shape[1]
     slots = jnp.arange(max_turns)
 
@@ -165,6 +188,7 @@ def _between(start: Onward, end: Onward) -> Onward:
         rotated(end.position - start.position, back),
         end.pulled_in - start.pulled_in,
         end.stored - start.stored,
+        end.given - start.given,
         jnp.maximum(start.error, end.error),
         start.solved & end.solved,
         _first_failure(start.status, end.status),
@@ -177,6 +201,7 @@ def _joined(here: Onward, further: Onward) -> Onward:
         here.position + rotated(further.position, here.heading),
         here.pulled_in + further.pulled_in,
         here.stored + further.stored,
+        here.given + further.given,
         jnp.maximum(here.error, further.error),
         here.solved & further.solved,
         _first_failure(here.status, further.status),

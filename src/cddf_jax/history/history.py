@@ -96,7 +96,8 @@ class History(eqx.Module):
     def friction_loss(self) -> Float[Array, " steps"]:
         """The part of the work that friction and drag have dissipated, J.
 
-        In the plane it is an integral of its own; in space it is the work less the stored energy.
+        For one tendon without loads it is the work less what the tendon has given to the body and stored itself, which
+        in the exact kinematics is the stored energy. With several tendons or loads it is an integral of its own.
         """
         return self._energies.friction_loss
 

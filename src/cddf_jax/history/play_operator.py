@@ -224,7 +224,7 @@ def follow(
 @eqx.filter_jit
 def _work_and_loss(states: CongruentStates) -> tuple[Float[Array, " steps"], Float[Array, " steps"]]:
     """Work and friction loss since rest, J."""
-    gains = work_and_loss(states.manipulator, states.nodes, states.path, states.turns, states.front)
+    gains = work_and_loss(states.manipulator, states.nodes, states.path, states.turns)
     if states.earlier is not None:
         own = jnp.arange(states.path.size) >= states.path.size - states.num_steps
         gains = jnp.where(own[:, None], gains, 0.0)
