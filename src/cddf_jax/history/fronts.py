@@ -11,11 +11,11 @@ from jaxtyping import Array, Bool, Float, UInt
 from ..mechanics import bending, space
 from ..mechanics.friction import Pull, tension_rate
 from ..mechanics.march import FixedPoint
-from ..mechanics.problem import Problem, guarded_section, lay_out, tension_of
+from ..mechanics.problem import Problem, guarded_section, lay_out
 from ..numerics.arrays import zero_as
 from ..numerics.elements import Elements
 from ..numerics.fixed_point import newton
-from ..robot.cross_section import SpatialSection, planar, spatial
+from ..robot.cross_section import planar, spatial
 from ..robot.manipulator import Manipulator
 from ..statics.solve import solve
 
@@ -65,7 +65,7 @@ def front_of(body: Manipulator, nodes: int, motion: Motion, *, refined: bool = T
     (here, pull), (_, other) = (_slide(body, nodes, *end) for end in ends)
     # in T = (T_base - c) / r both r and c are smooth, also beyond the place where a released tendon would lock
     gap = direction * (_left(tension, pull) * other.ratio - _left(turned_at, other) * pull.ratio)
-    front = jnp.clip(first_zero(here.elements, gap[..., 0]), LEAST * length, length)
+    front = jnp.clip(_first_zero(here.elements, gap[..., 0]), LEAST * length, length)
     if refined and not is_play_of_inverse(body):  # else r is a polynomial, and the front is exact already
         found = newton(partial(_nearer, body, nodes, ends), front, REFINEMENTS)
         front = jnp.where(front < length, found, front)
@@ -83,28 +83,21 @@ def moving_front(body: Manipulator, front: Number, here: Number, there: Number, 
     """
     still, apart = jax.lax.stop_gradient((body, front, here, direction)), here - there
     body, place, tension, direction = still
-    slope = partial(_slope_in_space if body.in_space else _slope_in_plane, body, place, tension)
+    slope = partial(_slope, body, place, tension)
     parting = slope(direction) - slope(-direction)
     moves = (place < body.length) & (parting != 0)
     change = (apart - jax.lax.stop_gradient(apart)) / jnp.where(moves, parting, 1.0)
     return front - jnp.where(moves, change, 0.0)
 
 
-def _slope_in_plane(body: Manipulator, place: Number, tension: Number, direction: Number) -> Number:
+def _slope(body: Manipulator, place: Number, tension: Number, direction: Number) -> Number:
     """T', N/m, of a tendon that slides, at an arc length and for a tension there."""
+    given = tension[None], direction[None]
+    if body.in_space:
+        return space.tension_rate_without_loads(lambda s: spatial(guarded_section(body, s)), place, *given)[0]
     section = planar(guarded_section(body, place))
-    kappa = bending.curvature(section, tension[None])
-    turning = bending.turning(section, kappa, tension[None], direction[None])
-    return tension_rate(direction[None], section, turning, tension[None])[0]
-
-
-def _slope_in_space(body: Manipulator, place: Number, tension: Number, direction: Number) -> Number:
-    """The same."""
-
-    def section_at(arc_length: Number) -> SpatialSection:
-        return spatial(guarded_section(body, arc_length))
-
-    return space.tension_rate_without_loads(section_at, place, tension[None], direction[None])[0]
+    turning = bending.turning(section, bending.curvature(section, given[0]), *given)
+    return tension_rate(given[1], section, turning, given[0])[0]
 
 
 def _slide(body: Manipulator, nodes: int, tension: Number, direction: Number) -> tuple[Problem, Pull]:
@@ -121,31 +114,19 @@ def _nearer(
     body: Manipulator, nodes: int, ends: tuple[tuple[Number, Number], tuple[Number, Number]], front: Number
 ) -> Number:
     """The front after a step of Newton's method."""
-    part = cut_at(body, front)
-    if body.in_space:  # one program for both
-        both = [jnp.stack(pair) for pair in zip(*ends, strict=True)]
-        (value, other), (slope, other_slope) = jax.vmap(partial(_tension_and_slope, part, nodes))(*both)
-    else:
-        (value, slope), (other, other_slope) = (_tension_and_slope(part, nodes, *end) for end in ends)
+    part, both = cut_at(body, front), [jnp.stack(pair) for pair in zip(*ends, strict=True)]
+
+    def at_end(tension: Number, direction: Number) -> tuple[Number, Number]:  # `solve` knows sharp minima of turning
+        value = solve(part, tension, direction=direction, nodes=nodes, throw=False).tip_tension[0]
+        return value, _slope(part, jnp.asarray(part.length), value, direction)
+
+    (value, other), (slope, other_slope) = jax.vmap(at_end)(*both)  # one program for both
     found = front - (value - other) / (slope - other_slope)
     length = jnp.asarray(body.length)
     return jnp.where(jnp.isfinite(found), jnp.clip(found, LEAST * length, length), front)
 
 
-def _tension_and_slope(part: Manipulator, nodes: int, tension: Number, direction: Number) -> tuple[Number, Number]:
-    """T, N, and T', N/m, at the end of a part of the body."""
-    if part.in_space:  # `solve` knows sharp minima of the turning
-        value = solve(part, tension, direction=direction, nodes=nodes, throw=False).tip_tension[0]
-        return value, _slope_in_space(part, jnp.asarray(part.length), value, direction)
-    problem = lay_out(part, tension[None], direction[None], nodes)
-    value = tension_of(problem.tip, problem.base_tension, FixedPoint()(problem).tip.pull)
-    tip = planar(problem.tip)
-    kappa = bending.curvature(tip, value)
-    turning = bending.turning(tip, kappa, value, problem.direction)
-    return value[0], tension_rate(problem.direction, tip, turning, value)[0]
-
-
-def first_zero(cut: Elements, values: Float[Array, "P p"]) -> Number:
+def _first_zero(cut: Elements, values: Float[Array, "P p"]) -> Number:
     """The first arc length, m, where polynomials that are positive at the base fall below zero; the tip if none."""
     starts, ends = cut.at_starts_and_ends(values)
     points = jnp.concatenate([starts[:, None], values, ends[:, None]], axis=1)
