@@ -12,9 +12,7 @@ from ..mechanics.friction import PerTendon, Pull
 from ..mechanics.problem import State
 from ..numerics.arrays import largest_size
 from ..robot.cross_section import where_present
-from ..robot.loads import Loads
 from ..statics.equilibrium import nan_unless
-from ..statics.solve import solve
 from .grid import Along, Given, Goal, Grid, Node, along
 from .increment import OnGrid, Setting, after_increment
 
@@ -32,33 +30,26 @@ class Instant(NamedTuple):
     friction_loss: Number  # J
 
 
-def at_rest(grid: Grid, given: Given, loads: Loads | None) -> Instant:
-    """The body before the first step, whose tendons have no tension: straight, or bent by loads that stay.
-
-    Args:
-        grid: the body.
-        given: what acts at that instant.
-        loads: that act on it before the first step, or None.
-    """
-    still, geometry = given.base_tension, grid.geometry
-    count = grid.places.size + 1
-    none, good, nodes = jnp.zeros((count, still.size), still.dtype), jnp.asarray(True), None
-    heading = moment = None
-    if given.force is not None:
-        upright, no_moment = (jnp.asarray(x, still.dtype) for x in (geometry.upright, geometry.no_moment))
-        heading, moment = (jnp.zeros((count, *x.shape), still.dtype) + x for x in (upright, no_moment))
-    if loads is not None and given.force is not None:
-        found = solve(grid.manipulator.without_memory(), still, loads, direction=1.0, throw=False)
-        state = jax.vmap(found._dense.state)(jnp.append(grid.places, grid.places[-1]))
-        heading, moment, good = state.heading, state.moment, found._dense.solved
-    nodes = Node(none, heading, none, moment)
-    strain, rate = grid.at_all(nodes, given.force, None)
+def at_rest(grid: Grid) -> Instant:
+    """The body before the first step, without tensions and loads."""
+    none = jnp.zeros((grid.places.size + 1, grid.stretch.size), grid.places.dtype)
+    nodes = Node(none, None, none, None)
+    strain, rate = grid.at_all(nodes, None, None)
     slip = jnp.cumsum((grid.weights[:, None] * rate)[::-1], axis=0)[::-1]
     nodes = nodes._replace(slip=jnp.concatenate([slip, none[:1]]))
-    body = OnGrid(nodes, none[1:], good, None if grid.manipulator.friction_moment is None else strain)
-    settled = after_increment(Setting(grid, given, body, ())) if loads is not None else body
-    instant = Instant(given, settled, none[1:], none[0, 0], none[0, 0])
+    held = None if grid.manipulator.friction_moment is None else strain
+    given = Given(none[0], none[0], None, None, None)
+    instant = Instant(given, OnGrid(nodes, none[1:], jnp.asarray(True), held), none[1:], none[0, 0], none[0, 0])
     return instant._replace(work=stored_in(grid, instant))
+
+
+def without_friction(grid: Grid, instant: Instant) -> Instant:
+    """The same instant, with friction of the body that holds nothing, and as work only what is stored."""
+    nodes, held = instant.body.nodes, instant.body.held
+    if grid.manipulator.friction_moment is not None:
+        held = grid.at_all(nodes, instant.given.force, None)[0]
+    instant = instant._replace(body=instant.body._replace(held=held), slid=0.0 * instant.slid)
+    return instant._replace(work=stored_in(grid, instant), friction_loss=0.0 * instant.friction_loss)
 
 
 def moved(grid: Grid, driven: tuple[Goal, ...], before: Instant, given: Given) -> Instant:

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..mechanics.fields import AnyFields
+from ..mechanics.friction import PerTendon
 from ..mechanics.problem import lay_out
 from ..numerics.arrays import varying_as, zero_as
 from ..robot.loads import Loads
@@ -41,6 +42,7 @@ from .instants import (
     stored_in,
     tip_of,
     under_no_loads,
+    without_friction,
 )
 from .path import Path
 
@@ -138,23 +140,16 @@ def _followed(
     """
     zero = zero_as(manipulator, path, rough)  # under shard_map all numbers vary over the devices, or none
     grid = varying_as(cut_into_elements(manipulator, kind.num_elements, _last(path.loads), rough.elements), zero)
-    path = path.behind(jnp.zeros_like(path.tension[0])) if start is None else path
-    given = varying_as(_given(grid, path), zero)
-    if start is None:
-        start = at_rest(grid, jax.tree.map(lambda x: x[0], given), path.resting)
-        given = jax.tree.map(lambda x: x[1:], given)
-    elif path.loads is not None and start.given.force is None:
+    resting = path.resting if start is None else None
+    given = varying_as(jax.vmap(partial(_given, grid))(path.tension, path.goal, path.loads), zero)
+    start = at_rest(grid) if start is None else start
+    if path.loads is not None and start.given.force is None:
         start = under_no_loads(grid, start)
-    goal = start.given.goal
-    for each in kind.driven:
-        goal = goal.at[each.tendon].set(grid.reading(start.body.nodes, each))
-    start = varying_as(start._replace(given=start.given._replace(goal=goal)), zero)
-    driven = tendons_of(kind.driven)
-
+    start = varying_as(start, zero)
     least = (1.0 + rough.increments) / kind.num_increments + 0.0 * start.work  # two as one
 
-    def advance(instant: Instant, to: Given) -> tuple[Instant, Instant]:
-        before = instant.given
+    def advance(goals: tuple[Goal, ...], instant: Instant, to: Given) -> tuple[Instant, Instant]:
+        before, driven = instant.given, tendons_of(goals)
 
         def part(so_far: _SoFar, _: None) -> tuple[_SoFar, None]:
             onto = jnp.minimum(so_far.done + so_far.width, 1.0)
@@ -162,7 +157,7 @@ def _followed(
             over = (so_far.done >= 1.0) | (so_far.width < LEAST_WIDTH) | ~so_far.instant.body.converged
 
             def onwards(so_far: _SoFar) -> _SoFar:
-                new = moved(grid, kind.driven, so_far.instant, here)
+                new = moved(grid, goals, so_far.instant, here)
                 cut = _SoFar(so_far.instant, so_far.done, so_far.width / 4)
                 went = _SoFar(new, onto, jnp.minimum(2 * so_far.width, least))
                 return jax.tree.map(partial(jnp.where, new.body.converged), went, cut)
@@ -177,7 +172,16 @@ def _followed(
         tension = to.base_tension.at[driven].set(nodes.tension[0, driven])  # as it was found
         return instant, instant._replace(given=to._replace(base_tension=tension))
 
-    instants = jax.lax.scan(advance, start, given)[1]
+    if resting is not None:
+        none = jnp.zeros_like(path.tension[0])
+        first = varying_as(_given(grid, none, none, resting), zero)
+        free = start._replace(body=start.body._replace(held=None))
+        start = without_friction(grid, advance((), free, first)[0])
+    goal = start.given.goal
+    for each in kind.driven:
+        goal = goal.at[each.tendon].set(grid.reading(start.body.nodes, each))
+    start = start._replace(given=start.given._replace(goal=goal))
+    instants = jax.lax.scan(partial(advance, kind.driven), start, given)[1]
     tip = jax.vmap(partial(tip_of, grid))(instants)
     return (
         instants,
@@ -187,11 +191,10 @@ def _followed(
     )
 
 
-def _given(grid: Grid, path: Path) -> Given:
-    if path.loads is None:
-        return Given(path.tension, path.goal, None, None, None)
-    along = jax.vmap(partial(loads_on, grid))(path.loads)
-    return Given(path.tension, path.goal, *along, jnp.asarray(path.loads.tip_moment))
+def _given(grid: Grid, tension: PerTendon, goal: PerTendon, loads: Loads | None) -> Given:
+    if loads is None:
+        return Given(tension, goal, None, None, None)
+    return Given(tension, goal, *loads_on(grid, loads), jnp.asarray(loads.tip_moment))
 
 
 # --- the history of a path ------------------------------------------------------------------------
@@ -211,13 +214,10 @@ def stepped_history(manipulator: Manipulator, path: Path, start: SteppedStates |
     manipulator, path, physical = _checked(manipulator, path)
     count = 3 if kind.estimated else 1
     last = None if start is None else jax.tree.map(lambda x: x[:count, -1], start.passes)
-    follow = partial(_followed, manipulator, path, kind)
     rough = _Rough(jnp.array([0.0, 1.0, 0.0]), jnp.array([0.0, 0.0, 1.0]))
     rough = jax.tree.map(lambda x: x[:count], rough)
-    if last is None:
-        passes, tips, fronts, crossing = jax.lax.map(lambda rough: follow(None, rough), rough)
-    else:
-        passes, tips, fronts, crossing = jax.lax.map(lambda given: follow(*given), (last, rough))
+    follow = partial(_followed, manipulator, path, kind)
+    passes, tips, fronts, crossing = jax.lax.map(lambda given: follow(*given), (last, rough))
     grid = cut_into_elements(manipulator, kind.num_elements, _last(path.loads))
     instants, tip = jax.tree.map(lambda x: x[0], (passes, tips))
     others = jax.tree.map(lambda x: x[1:], tips)
