@@ -46,7 +46,6 @@ def test_without_an_estimate_the_answer_is_the_same(pair):
     np.testing.assert_array_equal(found.status, cddf.Status.successful)
     on = [cddf.trace(PAIR, PATH[:1], start=each, estimate_error=False).tip_angle for each in (found, pair)]
     np.testing.assert_allclose(on[0], on[1], rtol=1e-10)
-    assert np.all(np.isnan(cddf.trace(PAIR, PATH[:1], start=found).error_estimate))
 
 
 @pytest.mark.slow
@@ -64,11 +63,10 @@ THREE = replace(PAIR, tendons=(cddf.Tendon(0.010), cddf.Tendon(0.008, side=-1), 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("short_steps", [16, 32])
-def test_a_pull_after_a_release(short_steps):
-    """Tendons that rest by their friction alone, between parts that slide, settle with any number of increments."""
+def test_a_pull_after_a_release():
+    """Tendons that rest by their friction alone, between parts that slide, settle with more increments too."""
     path = np.insert(PATH, 3, [50.0, 20.0], axis=0)
-    history = cddf.trace(PAIR, path, short_steps=short_steps)
+    history = cddf.trace(PAIR, path, short_steps=32)
     np.testing.assert_allclose(np.degrees(history.tip_angle)[np.array([0, 1, 2, 4])], ANGLES, atol=0.016)
 
 
@@ -211,8 +209,7 @@ def test_a_history_goes_on(loaded):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("jitted", [False, True])
-def test_gravity_rests_while_a_force_changes(jitted):
+def test_gravity_rests_while_a_force_changes():
     """The same in two calls: pulled under gravity alone, which `solve` has an answer for, and then a force."""
     body, gravity = with_masses(ONE), (0.0, -9.81)
     tension, force = [60.0, 60.0, 40.0], [(0.0, 0.0), (0.0, -0.5), (0.0, -0.2)]
@@ -220,7 +217,7 @@ def test_gravity_rests_while_a_force_changes(jitted):
     def traced(gravity):
         return cddf.trace(body, tension, cddf.Loads(gravity=gravity, tip_force=force))
 
-    together = (jax.jit(traced) if jitted else traced)(jnp.array(gravity))
+    together = jax.jit(traced)(jnp.array(gravity))
     under_gravity = cddf.trace(body, tension[:1], cddf.Loads(gravity=gravity))
     pushed = [cddf.Loads(gravity=gravity, tip_force=one) for one in force[1:]]
     after = cddf.trace(body, tension[1:], pushed, start=under_gravity)
@@ -291,22 +288,18 @@ SLANTED = {"tendon_offset": (0.012, 0.008)}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kinematics", ["exact", "published"])
 @pytest.mark.parametrize(
     ("body", "loads"),
     [
-        (lambda **k: paper_body(drag=5.0, num_tendons=2, **k), None),
-        (lambda **k: stretching(paper_body(drag=5.0, num_tendons=2, **SLANTED, **k)), None),
-        (lambda **k: with_masses(paper_body(num_tendons=2, **k)), cddf.Loads(gravity=(0.0, -9.81))),
-        (lambda **k: stretching(with_masses(paper_body(drag=5.0, num_tendons=2, **k))), ALL_LOADS),
-        (lambda **k: stretching(with_masses(paper_body(drag=5.0, **k))), ALL_LOADS),
-        (lambda **k: paper_body(**k), cddf.Loads(tip_moment=-0.05)),
+        (stretching(paper_body("exact", drag=5.0, num_tendons=2, **SLANTED)), None),
+        (stretching(with_masses(paper_body("published", drag=5.0, num_tendons=2))), ALL_LOADS),
+        (stretching(with_masses(paper_body("exact", drag=5.0))), ALL_LOADS),
+        (paper_body("published"), cddf.Loads(tip_moment=-0.05)),
     ],
-    ids=["drag", "slanted, drag, stretch", "gravity, masses", "all of it", "one tendon, all of it", "one, tip moment"],
+    ids=["slanted, drag, stretch", "all of it", "one tendon, all of it", "one, tip moment"],
 )
-def test_a_pull_of_all_tendons_is_a_solve(kinematics, body, loads):
+def test_a_pull_of_all_tendons_is_a_solve(body, loads):
     """Their tensions grow in proportion, so that every tendon slides one way all along, under loads that stay."""
-    body = body(kinematics=kinematics)
     shares = np.array([1.0, 0.3])[: body.num_tendons]
     history = cddf.trace(body, np.outer([30.0, 60.0], shares), loads, nodes=8, short_steps=8)
     for step, tension in enumerate((30.0, 60.0)):
@@ -320,7 +313,7 @@ def test_a_pull_of_all_tendons_is_a_solve(kinematics, body, loads):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("drag", [5.0, 20.0, 60.0])
+@pytest.mark.parametrize("drag", [5.0, 60.0])
 def test_drag_uses_up_the_first_tensions_from_rest(drag):
     """A tendon rests from where its drag leaves no tension; once it slides all along, `solve` has the answer."""
     history = cddf.trace(paper_body("exact", num_tendons=2, drag=drag), [[30.0, 8.0], [60.0, 20.0]])
@@ -381,18 +374,17 @@ def test_a_tip_tension_is_reached():
     np.testing.assert_allclose(found.base_tension, wanted, rtol=5 * GRID)
 
 
-@pytest.mark.parametrize("mode", [jax.jacfwd, pytest.param(jax.jacrev, marks=pytest.mark.slow)])
-def test_derivatives(mode):
+def test_derivatives():
     """Against differences so small that no tendon begins to slide or to rest in another element."""
 
     def angle(numbers):
         body = eqx.tree_at(lambda b: (b.friction_coefficient, b.youngs_modulus), PAIR, (numbers[0], numbers[1] * 1.4e6))
         path = jnp.array([[75.0, 20.0], [60.0, 20.0]]).at[1, 0].set(60 * numbers[2])
-        found = cddf.trace(body, path, short_steps=4, nodes=8).tip_angle[-1]
+        found = cddf.trace(body, path, short_steps=4, nodes=8, estimate_error=False).tip_angle[-1]
         return found, found
 
     at, step = np.array([0.42, 1.0, 1.0]), 1e-4
-    derivative = jax.jit(mode(angle, has_aux=True))
+    derivative = jax.jit(jax.jacfwd(angle, has_aux=True))
     ends = [(derivative(at + step * unit)[1], derivative(at - step * unit)[1]) for unit in np.eye(3)]
     differences = [(above - below) / (2 * step) for above, below in ends]
     np.testing.assert_allclose(derivative(at)[0], differences, rtol=2e-4)
@@ -440,8 +432,7 @@ def test_bad_input_is_refused(exact):
     for push in (None, (0.0, 0.0), (0.0, np.nan), (1.0,)):
         with pytest.raises(ValueError, match="push"):
             cddf.tip_compliance(exact, push=push)
-    for before in (-80.0, 1.0):
-        with pytest.raises(ValueError, match="before must be the largest"):
-            cddf.trace(ONE, [2.0], before=before)
+    with pytest.raises(ValueError, match="before must be the largest"):
+        cddf.trace(ONE, [2.0], before=1.0)
     with pytest.raises(cddf.SolveError, match="not physical"):
         cddf.trace(ONE, [np.nan] * 5)

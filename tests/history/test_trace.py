@@ -103,7 +103,7 @@ def test_a_path_of_several_blocks():
 
 @pytest.mark.slow
 def test_the_shape_is_the_integral_of_its_heading():
-    history, s = cddf.trace(BODY, [75.0, 40.0, 60.0, 50.0]), np.linspace(0, LENGTH, 20001)
+    history, s = cddf.trace(BODY, PATH), np.linspace(0, LENGTH, 20001)
     along = history.at(s)
     heading = np.asarray(along.heading)
     for component, function in enumerate((np.cos, np.sin)):
@@ -167,18 +167,11 @@ def test_with_drag_against_an_integration():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "changes",
-    [
-        pytest.param({"tendon_offset": (0.012, 0.007)}, marks=pytest.mark.slow),
-        {"kinematics": "published"},
-        {"tendon_offset": (0.012, 0.008), "drag": 8.0},
-    ],
-)
+@pytest.mark.parametrize("changes", [{"kinematics": "published"}, {"tendon_offset": (0.012, 0.008), "drag": 8.0}])
 def test_other_bodies_by_their_branches(changes):
     """T is clipped by the two branches of `solve`; the shape is the integral of the curvature."""
     body = paper_body(**{"kinematics": "exact", **changes})
-    path, s = [70.0, 30.0, 55.0, 40.0, 50.0, 10.0, 35.0], np.linspace(0, LENGTH, 4001)
+    path, s = [70.0, 30.0, 55.0, 40.0, 50.0, 10.0, 35.0, 20.0], np.linspace(0, LENGTH, 4001)
     tension, now = np.zeros_like(s), 0.0
     for value in path:
         pulled = value > now
@@ -259,15 +252,6 @@ def test_a_history_in_words():
     assert str(batch).startswith("History(")
 
 
-@pytest.mark.slow
-def test_a_history_goes_on():
-    path = [75.0, 40.0, 60.0, 50.0, 55.0, 30.0]
-    whole, first = cddf.trace(BODY, path), cddf.trace(BODY, path[:4])
-    rest = cddf.trace(BODY, path[4:], start=first)
-    for name in ("tip_tension", "tip_angle", "tip_position", "tendon_displacement", "front", "num_turns"):
-        np.testing.assert_allclose(getattr(rest, name), getattr(whole, name)[4:], rtol=1e-13)
-
-
 def test_where_it_slides():
     history = cddf.trace(BODY, PATH)
     np.testing.assert_array_equal(history.sliding([0.02, 0.1])[:2], [[1, 1], [-1, 0]])
@@ -331,8 +315,7 @@ def test_more_turns_than_there_is_room_for():
 @pytest.mark.parametrize(
     ("body", "path", "options", "words"),
     [
-        (paper_body("exact", num_tendons=2), [1.0], {}, r"\(steps, 2\) for this body"),
-        (BODY, 75.0, {}, r"must be a list of tensions, N, one for each step, got the shape \(\)"),
+        (BODY, 75.0, {}, r"tensions, N, of the shape \(steps,\) or \(steps, 1\) for this body, got the shape \(\)"),
         (BODY, [[75.0, 1.0]], {}, r"got the shape \(1, 2\)"),
         (BODY, [], {}, r"got the shape \(0,\)"),
         (BODY, [75.0], {"max_turns": 0}, "max_turns must be a whole number of 1 or more, got 0"),
@@ -357,14 +340,13 @@ def test_wrong_types_and_numbers():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("offset", "drag"), [(0.010, None), ((0.010, 0.007), 2.0)])
-def test_the_front_has_its_derivatives(offset, drag):
+def test_the_front_has_its_derivatives():
     """Against central differences, in both modes; at the tip the front does not move."""
 
     def front(numbers):
         mu, modulus, high, low = numbers
-        changes = {"tendon_offset": offset, "youngs_modulus": 1.4e6 * modulus, "friction_coefficient": mu, "drag": drag}
-        body = paper_body("exact", **changes)
+        changes = {"tendon_offset": (0.010, 0.007), "drag": 2.0, "youngs_modulus": 1.4e6 * modulus}
+        body = paper_body("exact", friction_coefficient=mu, **changes)
         return cddf.trace(body, jnp.stack([75.0 * high, 40.0 * low, 55.0])).front
 
     derivatives, at = both_modes(front), np.array([0.42, 1.0, 1.0, 1.0])
@@ -381,23 +363,15 @@ def test_a_history_carried_by_scan():
         history = cddf.trace(BODY, pull[None], start=history)
         return history, history.tip_angle[0]
 
-    pulls = jnp.array([40.0, 75.0, 30.0, 60.0])
+    pulls = jnp.array([40.0, 75.0, 30.0, 60.0, 50.0, 20.0, 80.0])
     _, carried = jax.lax.scan(step, cddf.trace(BODY, [0.0]), pulls)
     np.testing.assert_allclose(carried, cddf.trace(BODY, jnp.append(0.0, pulls)).tip_angle[1:], rtol=1e-12)
 
 
 def test_a_batch_of_histories_is_refused():
-    batch = jax.vmap(lambda path: cddf.trace(BODY, path))(jnp.array([[40.0, 10.0], [60.0, 20.0]]))
+    batch = jax.eval_shape(jax.vmap(lambda path: cddf.trace(BODY, path)), jnp.ones((2, STEPS)))
     for asked, ask in (("at(s)", batch.at), ("sliding(s)", batch.sliding)):
         said = refused(ask, 0.07)
         assert said.startswith(f"{asked}: needs one history, not a batch of shape (2,); use jax.vmap(lambda history:")
     with pytest.raises(ValueError, match="work: needs one history"):
         _ = batch.work
-
-
-def test_the_form_of_several_displacements():
-    pair, lengths = paper_body("exact", num_tendons=2), np.zeros((25, 2))
-    said = refused(cddf.trace, pair, cddf.Displacement(lengths), error=ValueError)
-    assert said.endswith(
-        "give [Displacement(lengths[:, 0]), Displacement(lengths[:, 1]), ...], or the tensions of a tendon"
-    )

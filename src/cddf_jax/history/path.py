@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Any, NamedTuple, cast
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -61,18 +62,22 @@ def as_numbers(values: object, name: str) -> Array:
     return array.astype(jnp.result_type(float, array))
 
 
-def _has_targets(base_tension: Driven) -> bool:
-    """Whether anything other than tensions is given."""
-    return any(not _is_numbers(entry) for entry in entries_of(base_tension))
+def _entries_of(base_tension: Driven) -> Sequence[object]:
+    """One for each tendon, or a single one.
 
-
-def entries_of(base_tension: Driven) -> Sequence[object]:
-    """One for each tendon, or a single one."""
-    return base_tension if isinstance(base_tension, tuple | list) else [base_tension]
-
-
-def _is_numbers(entry: object) -> bool:
-    return isinstance(entry, float | int | np.ndarray | jax.Array | tuple | list | np.generic)
+    Raises:
+        TypeError: for targets of `solve` that drive no tendon along a path.
+    """
+    entries = base_tension if isinstance(base_tension, tuple | list) else [base_tension]
+    for entry in entries:
+        if isinstance(entry, eqx.Module) and not isinstance(entry, ALONG_A_PATH):
+            kinds = ", ".join(kind.__name__ for kind in ALONG_A_PATH)
+            raise TypeError(
+                f"trace: a path may hold base tensions, {kinds}, got {type(entry).__name__}; give the tension or the "
+                "length pulled in after each step (solve finds tensions without a history: they are right up to the "
+                "first turn only)"
+            )
+    return entries
 
 
 def given_path(
@@ -84,7 +89,7 @@ def given_path(
 
     Raises:
         ValueError: for wrong shapes.
-        TypeError: for entries that are neither numbers nor targets.
+        TypeError: for targets that drive no tendon along a path.
     """
     tension, goal, driven = _actuation(manipulator, base_tension)
     if manipulator.in_space and loads is not None:
@@ -98,29 +103,24 @@ def given_path(
 
 
 def _actuation(manipulator: Manipulator, base_tension: Driven) -> tuple[Array, Array, tuple[Goal, ...]]:
-    count = manipulator.num_tendons
-    if not _has_targets(base_tension):
+    count, entries = manipulator.num_tendons, _entries_of(base_tension)
+    driven = tuple(Goal(i, entry.quantity) for i, entry in enumerate(entries) if isinstance(entry, ALONG_A_PATH))
+    if not driven:
         tension = as_numbers(base_tension, "trace: base_tension")
         shape = tension.shape
         tension = tension[:, None] if tension.ndim == 1 and count == 1 else tension
         if tension.ndim != 2 or tension.shape[1] != count or tension.shape[0] == 0:
+            one = "(steps,) or " if count == 1 else ""
             raise ValueError(
-                f"trace: base_tension must have the shape (steps, tendons), (steps, {count}) for this body, got {shape}"
+                f"trace: base_tension must hold tensions, N, of the shape {one}(steps, {count}) for this body, got the "
+                f"shape {shape}"
             )
         return tension, jnp.zeros_like(tension), ()
-    entries = entries_of(base_tension)
     if len(entries) != count:
         raise ValueError(
             f"trace: with targets, base_tension must hold one entry per tendon ({count}), got {len(entries)}; "
             "give [Displacement(lengths[:, 0]), Displacement(lengths[:, 1]), ...], or the tensions of a tendon"
         )
-    for entry in entries:
-        if not _is_numbers(entry) and not isinstance(entry, ALONG_A_PATH):
-            raise TypeError(
-                f"trace: give tensions, N, or one of {', '.join(kind.__name__ for kind in ALONG_A_PATH)} for each "
-                f"tendon, got {type(entry).__name__}"
-            )
-    driven = tuple(Goal(i, entry.quantity) for i, entry in enumerate(entries) if isinstance(entry, ALONG_A_PATH))
     values = [as_numbers(getattr(entry, "value", entry), "trace: base_tension") for entry in entries]
     if any(value.shape != values[0].shape or value.ndim != 1 or value.size == 0 for value in values):
         shapes = ", ".join(str(value.shape) for value in values)
@@ -135,7 +135,7 @@ def _resting(loads: Loads | Sequence[Loads] | None, along: Loads | None) -> Load
         return None
     stays = jax.tree.map(lambda own, all_steps: np.ndim(own) < np.ndim(all_steps), loads, along)
     own = [_acts(load) for load, stay in zip(_vectors(loads), _vectors(stays), strict=True) if stay]
-    if not all(_vectors(stays)) and not any(own):
+    if not any(own):
         return None
     return jax.tree.map(lambda load, stay: load[0] if stay else jnp.zeros_like(load[0]), along, stays)
 

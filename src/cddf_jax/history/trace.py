@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Literal, cast
+from typing import Literal
 
 import equinox as eqx
 import jax
@@ -21,15 +21,13 @@ from ..statics.arguments import check_nodes, refuse_batch
 from ..statics.equilibrium import nan_unless
 from ..statics.response import tip_compliance
 from ..statics.status import Status, words_of
-from ..statics.targets import Displacement, TipAngle
 from .grid import Goal
 from .history import GOOD, History
-from .path import ALONG_A_PATH, Driven, Path, as_numbers, entries_of, given_path
+from .path import Driven, Path, as_numbers, given_path
 from .play_operator import Before, CongruentStates, congruent_history
 from .stepped import ACCURACY, ELEMENTS, Following, SteppedStates, after_first, squeezed, stepped_history
 
 LEAST_MOVE = 1e-6  # of the tip by a push, over the length and in rad; steps settle to some 1e-8 of them
-BOTH_GIVEN = "trace: before and start both give the history before the first step; leave one of them out"
 
 
 def trace(
@@ -93,8 +91,9 @@ def trace(
     """
     if not isinstance(manipulator, Manipulator):
         raise TypeError(f"trace: the first argument must be a Manipulator, got {type(manipulator).__name__}")
-    _check_driven(base_tension)
-    manipulator = _as_known(manipulator, base_tension, loads)
+    each = loads if isinstance(loads, tuple | list) else [loads]
+    if manipulator.in_space or any(isinstance(one, Loads) and one.in_space for one in each):
+        manipulator = in_space(manipulator)
     check_nodes(nodes)
     for name, value, least in (("max_turns", max_turns, 1), ("short_steps", short_steps, 2)):
         if isinstance(value, bool) or not isinstance(value, int) or value < least:
@@ -103,18 +102,14 @@ def trace(
         raise TypeError(f"trace: start must be a History, got {type(start).__name__}")
     if start is not None:
         _check_same_body(manipulator, start)
-    if _is_exact(manipulator, base_tension, loads, start):
-        quantity, values = _path(base_tension)
-        if manipulator.in_space and not isinstance(values, Tracer):
-            check_range_in_space("trace", quantity, values)
-        past = _before(before, start, values.dtype)
-        _check_largest(past, quantity, values)
-        program = partial(congruent_history, manipulator, values, past, nodes, max_turns, quantity)
-    else:
-        program = partial(_in_increments, manipulator, base_tension, loads, before, start, nodes, short_steps)
-        program = partial(program, estimate_error)
     try:
-        history = program()
+        path, driven = given_path(manipulator, base_tension, loads)
+        earlier = _earlier(manipulator, before, start)
+        if loads is None and _is_exact(manipulator, driven, start):
+            history = _exactly(manipulator, path, driven, earlier, start, nodes, max_turns)
+        else:
+            kind = Following(driven, ELEMENTS * nodes, short_steps, estimate_error)
+            history = _in_increments(manipulator, path, loads is None, earlier, start, kind)
     except (TypeError, ValueError):
         refuse_batch("trace", manipulator)
         raise
@@ -123,44 +118,37 @@ def trace(
     return history
 
 
-def _is_exact(manipulator: Manipulator, base_tension: Driven, loads: object, start: History | None) -> bool:
-    """Whether the path has an exact answer."""
-    driven = [entry for entry in entries_of(base_tension) if isinstance(entry, ALONG_A_PATH)]
+def _is_exact(manipulator: Manipulator, driven: tuple[Goal, ...], start: History | None) -> bool:
+    """Whether a path without loads has an exact answer."""
     followed = start is not None and isinstance(start._states, SteppedStates)
-    known = all(isinstance(entry, Displacement | TipAngle) for entry in driven)
-    return manipulator.num_tendons == 1 and loads is None and known and not followed and not manipulator.has_memory
+    known = all(goal.quantity in ("displacement", "tip_angle") for goal in driven)
+    return manipulator.num_tendons == 1 and known and not followed and not manipulator.has_memory
 
 
-def _check_driven(base_tension: Driven) -> None:
-    """Refuse targets of `solve` that drive no tendon along a path."""
-    for entry in entries_of(base_tension):
-        if isinstance(entry, eqx.Module) and not isinstance(entry, ALONG_A_PATH):
-            kinds = ", ".join(kind.__name__ for kind in ALONG_A_PATH)
-            raise TypeError(
-                f"trace: a path may hold base tensions, {kinds}, got {type(entry).__name__}; give the tension or the "
-                "length pulled in after each step (solve finds tensions without a history: they are right up to the "
-                "first turn only)"
-            )
-
-
-def _as_known(manipulator: Manipulator, base_tension: Driven, loads: Loads | Sequence[Loads] | None) -> Manipulator:
-    """The body, with an angle of its tendon where it is in space; refuse what `trace` cannot follow in space."""
-    given = loads if isinstance(loads, tuple | list) else [loads]
-    turned = manipulator.in_space or any(isinstance(entry, Loads) and entry.in_space for entry in given)
-    return in_space(manipulator) if turned else manipulator
-
-
-def _check_largest(past: Before, quantity: str, values: Array) -> None:
-    """Refuse a `before` that is smaller than the tension of the first step, where the numbers are known."""
-    if past.work_and_loss is not None or past.open_tension.size == 0 or isinstance(past.open_tension, Tracer):
-        return
-    largest = float(past.open_tension[0])
-    first = 0.0 if quantity != "base_tension" or isinstance(values, Tracer) else float(values[0])
-    if largest < max(first, 0.0):
+def _exactly(
+    manipulator: Manipulator,
+    path: Path,
+    driven: tuple[Goal, ...],
+    earlier: Float[Array, "1"] | None,
+    start: History | None,
+    nodes: int,
+    max_turns: int,
+) -> History:
+    quantity = driven[0].quantity if driven else "base_tension"
+    values = (path.goal if driven else path.tension)[:, 0]
+    if manipulator.in_space and not isinstance(values, Tracer):
+        check_range_in_space("trace", quantity, values)
+    past = Before(jnp.zeros(0, values.dtype) if earlier is None else earlier.astype(values.dtype))
+    if start is not None:
+        assert isinstance(start._states, CongruentStates)
+        past = Before(start._states.open_tension, jnp.stack([start.work[-1], start.friction_loss[-1]]))
+    known = not isinstance(earlier, Tracer) and not isinstance(values, Tracer)
+    if earlier is not None and known and not driven and earlier[0] < values[0]:
         raise ValueError(
-            f"trace: before must be the largest base tension up to the first step, {max(first, 0.0):g} N or more, "
-            f"got {largest:g} N"
+            f"trace: before must be the largest base tension up to the first step, {float(values[0]):g} N or more, "
+            f"got {float(earlier[0]):g} N"
         )
+    return congruent_history(manipulator, values, past, nodes, max_turns, quantity)
 
 
 def _check_same_body(manipulator: Manipulator, start: History) -> None:
@@ -174,30 +162,28 @@ def _check_same_body(manipulator: Manipulator, start: History) -> None:
 
 def _in_increments(
     manipulator: Manipulator,
-    base_tension: Driven,
-    loads: Loads | Sequence[Loads] | None,
-    before: ArrayLike | Literal["rest"],
+    path: Path,
+    goes_on: bool,
+    earlier: Float[Array, " tendons"] | None,
     start: History | None,
-    nodes: int,
-    short_steps: int,
-    estimated: bool,
+    kind: Following,
 ) -> History:
-    path, driven = given_path(manipulator, base_tension, loads)
-    earlier = _earlier(manipulator, before, start, driven)
-    if earlier is not None:
-        path = path.behind(earlier)
-    if loads is None and start is not None and isinstance(start._states, SteppedStates):
-        path = path.under(start._states.loads)  # the last loads stay
+    """Follow a path; `goes_on`: whether the loads of `start` stay."""
+    if earlier is not None and kind.driven:
+        raise ValueError("trace: before= needs tensions along the path; give earlier displacements as the first steps")
+    path = path if earlier is None else path.behind(earlier)
+    states = None if start is None else start._states
+    if goes_on and isinstance(states, SteppedStates):
+        path = path.under(states.loads)
     check_loads(manipulator, path.loads)
     if path.tension.dtype != jnp.float64:
         raise ValueError(
             "trace: several tendons or loads need 64-bit numbers; jax.config.update('jax_enable_x64', True) first"
         )
-    states = None if start is None else start._states
-    kind = Following(driven, ELEMENTS * nodes, short_steps, estimated)
     if isinstance(states, SteppedStates):
         _check_same_points(path.loads, states.loads)
-        kind = kind._replace(num_elements=states.num_elements, estimated=estimated and states.passes.work.shape[0] > 1)
+        estimated = kind.estimated and states.passes.work.shape[0] > 1
+        kind = kind._replace(num_elements=states.num_elements, estimated=estimated)
     elif states is not None:
         raise ValueError("trace: start is a history of one tendon without loads; trace it with loads from rest on")
     history = stepped_history(manipulator, path, states, kind)
@@ -216,56 +202,23 @@ def _check_same_points(loads: Loads | None, before: Loads) -> None:
 
 
 def _earlier(
-    manipulator: Manipulator, before: ArrayLike | Literal["rest"], start: History | None, driven: tuple[Goal, ...]
+    manipulator: Manipulator, before: ArrayLike | Literal["rest"], start: History | None
 ) -> Float[Array, " tendons"] | None:
-    """The tensions of the step before the first; None where there is no such step."""
+    """The tensions before the first step, N; None where there is no such step."""
     if isinstance(before, str) and before == "rest":
         return None
     if start is not None:
-        raise ValueError(BOTH_GIVEN)
-    if driven:
-        raise ValueError("trace: before= needs tensions along the path; give earlier displacements as the first steps")
+        raise ValueError("trace: before and start both give the history before the first step; leave one of them out")
     count = manipulator.num_tendons
+    words = f'trace: before must be "rest" or base tensions, N, of the shape (tendons,), ({count},) for this body, got '
+    if isinstance(before, str):
+        raise ValueError(f"{words}{before!r}")
     tension = jnp.atleast_1d(as_numbers(before, "trace: before"))
     if tension.shape != (count,):
-        raise ValueError(
-            f'trace: before must be "rest" or base tensions, N, of the shape (tendons,), ({count},) for this body, got '
-            f"{np.shape(tension)}"
-        )
+        raise ValueError(f"{words}{np.shape(before)}")
     if not isinstance(tension, Tracer) and not np.all((np.asarray(tension) >= 0) & np.isfinite(tension)):
         raise ValueError(f"trace: before must hold tensions of 0 N or more, got {np.asarray(tension).tolist()}")
     return tension
-
-
-def _path(given: Driven) -> tuple[str, Float[Array, " steps"]]:
-    """The name of the given quantity, and its values."""
-    if isinstance(given, tuple | list) and len(given) == 1 and isinstance(given[0], Displacement | TipAngle):
-        given = given[0]
-    target = isinstance(given, Displacement | TipAngle)
-    quantity, values = (given.quantity, given.value) if target else ("base_tension", cast("ArrayLike", given))
-    numbers = as_numbers(values, f"trace: {quantity}")
-    numbers = numbers[:, 0] if numbers.ndim == 2 and numbers.shape[1] == 1 else numbers
-    if numbers.ndim != 1 or numbers.size == 0:
-        unit = {"base_tension": "tensions, N", "displacement": "lengths, m", "tip_angle": "angles, rad"}[quantity]
-        raise ValueError(
-            f"trace: {quantity} must be a list of {unit}, one for each step, got the shape {numbers.shape}"
-        )
-    return quantity, numbers
-
-
-def _before(before: ArrayLike | Literal["rest"], start: History | None, dtype: jnp.dtype) -> Before:
-    at_rest = isinstance(before, str) and before == "rest"
-    if not at_rest and (isinstance(before, str) or np.ndim(before) != 0):
-        raise ValueError(f'trace: before must be "rest" or the largest base tension, N, got {before!r}')
-    if not at_rest:
-        check_numbers("trace: before", before)
-    if start is None:
-        return Before(jnp.zeros(0, dtype) if at_rest else jnp.asarray(before, dtype)[None])
-    if not at_rest:
-        raise ValueError(BOTH_GIVEN)
-    states = start._states
-    assert isinstance(states, CongruentStates)
-    return Before(states.open_tension, jnp.stack([start.work[-1], start.friction_loss[-1]]))
 
 
 def _raise_if_failed(history: History) -> None:
@@ -317,20 +270,14 @@ def _(history: History, *, push: ArrayLike | Sequence[float] | None = None, shor
         raise ValueError(f"tip_compliance: after a history, push= must have two components (X, Y), N, got {push!r}")
     if not isinstance(push, Tracer) and not 0 < float(np.linalg.norm(np.asarray(push))) < np.inf:
         raise ValueError(f"tip_compliance: push must be a force above 0 N, got {push!r}")
-    if isinstance(short_steps, bool) or not isinstance(short_steps, int) or short_steps < 2:
-        raise ValueError(f"tip_compliance: short_steps must be a whole number of 2 or more, got {short_steps!r}")
     push = jnp.asarray(push, float)
-    states = history._states
+    states, follow = history._states, partial(trace, short_steps=short_steps, estimate_error=False, throw=False)
     if isinstance(states, CongruentStates):
-        path = Path(states.path[:, None], jnp.zeros_like(states.path)[:, None], None)
-        kind = Following((), ELEMENTS * states.nodes, short_steps)
-        history = stepped_history(states.manipulator, path, None, kind)
+        history = follow(states.manipulator, states.path, Loads(), nodes=states.nodes)
         states = history._states
     assert isinstance(states, SteppedStates)
     pushed = eqx.tree_at(lambda loads: loads.tip_force, states.loads, states.loads.tip_force + push)
-    tension = history.base_tension[-1:].reshape(1, -1)
-    path = Path(tension, jnp.zeros_like(tension), jax.tree.map(lambda x: x[None], pushed))
-    after = stepped_history(states.manipulator, path, states, Following((), states.num_elements, short_steps))
+    after = follow(states.manipulator, history.base_tension[-1:], pushed, start=history)
 
     if not isinstance(after.status, Tracer) and np.ndim(after.status) == 1 and np.any(np.isnan(after.tip_angle)):
         raise SolveError("tip_compliance: no equilibrium was found under the push; push less, or raise short_steps=")
