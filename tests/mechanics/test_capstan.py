@@ -115,16 +115,6 @@ def test_printed_tip_poses(kinematics, x, y, angle):
     np.testing.assert_allclose(solution.tension_loss, [0.3984], atol=0.5e-4)  # "39.84 % loss at 75 N"
 
 
-@pytest.mark.parametrize(
-    ("direction", "angle", "antagonist"), [((+1, +1), 54.0, 13.5), ((+1, -1), 45.9, 28.0)], ids=["both in", "one out"]
-)
-def test_printed_pair_of_tendons(direction, angle, antagonist):
-    """docs/theory.md: 75 N against 20 N in the exact kinematics, one decimal."""
-    solution = cddf.solve(paper_body("exact", num_tendons=2), (75.0, 20.0), direction=direction)
-    np.testing.assert_allclose(np.degrees(solution.tip_angle), angle, atol=0.05)
-    np.testing.assert_allclose(solution.tip_tension[1], antagonist, atol=0.05)
-
-
 def test_a_tendon_anchored_before_the_tip_keeps_its_tension():
     body = paper_with(cddf.Tendon(0.01, end=0.1), kinematics="published")
     ours = cddf.closed_form_tension(body, 75.0, np.array([0.1, 0.12, 0.14]))

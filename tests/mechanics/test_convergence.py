@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from bodies import (
     body_of,
-    one_kinematics_at_once,
     paper_body,
     paper_plain,
     plain_of,
@@ -41,7 +40,7 @@ def test_the_error_falls_spectrally():
     rho = x + sqrt(x^2 - 1) = 5.24 and rho^2 = 27.4. Measured: 27 for the tension.
     """
     rate = (2.714 + np.sqrt(2.714**2 - 1)) ** 2
-    few = {nodes: tip_errors(nodes) for nodes in (4, 5, 6, 7)}
+    few = {nodes: tip_errors(nodes) for nodes in (4, 5, 6)}
     errors = np.array([*few.values()])
     assert np.all(errors[0] < 1e-4)
     falls = errors[:-1] / errors[1:]
@@ -73,10 +72,7 @@ def true_errors(kinematics, draws, solutions):
     return np.array(rows)
 
 
-@one_kinematics_at_once
-@pytest.mark.parametrize(
-    "nodes", [pytest.param(4, marks=pytest.mark.slow), 8, pytest.param(16, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize(("kinematics", "nodes"), [("exact", 8), pytest.param("published", 4, marks=pytest.mark.slow)])
 def test_the_estimate_is_not_below_the_error(kinematics, nodes):
     """Over 64 random bodies (seed 5); the estimate may fall short by a factor of two."""
     draws = random_draws(kinematics, 64, seed=5)

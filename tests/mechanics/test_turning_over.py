@@ -195,6 +195,7 @@ def reference_tip(kinematics, numbers):
 derivatives = both_modes(tip_of("published"))
 
 
+@pytest.mark.slow
 def test_derivatives_across_a_sign_change():
     """Forward and reverse against central differences of the reference: h^2 and its 1e-11 over h leave 1e-6."""
     _, forward, reverse = derivatives(CENTRE)
@@ -245,6 +246,7 @@ def test_the_kink_of_a_straight_body():
         assert (tension(sign * step) - tension(0.0)) / (sign * step) == pytest.approx(expected, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_the_derivative_at_the_kink_of_a_straight_body():
     """In both modes: that of a curvature which turns positive."""
     _, forward, reverse = derivatives(EVEN)

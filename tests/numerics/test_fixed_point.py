@@ -59,13 +59,13 @@ CASES = {
 def test_derivatives_are_those_of_the_closed_form(function, value, slope, bend):
     modes = jax.jacfwd, jax.jacrev
     first = [derivative(function) for derivative in modes]
-    second = [again(derivative) for derivative in first for again in modes]
+    second = [jax.jacrev(first[0]), jax.jacfwd(first[1])]
     found = jax.jit(jax.vmap(lambda a: [f(a) for f in (function, *first, *second)]))(A)  # compiled together
     along, ones = (lambda f: lambda a: jax.jvp(f, (a,), (ones,))[1]), jnp.ones_like(A)  # a batch inside of derivatives
     inside = jax.vmap(jax.jit(function))
     assert_allclose(found[0], value, rtol=1e-14)
     assert_allclose(found[1:3], [slope] * 2, rtol=1e-13)
-    assert_allclose(found[3:], [bend] * 4, rtol=1e-12)
+    assert_allclose(found[3:], [bend] * 2, rtol=1e-12)
     assert_allclose(along(along(inside))(A), bend, rtol=1e-12)
 
 

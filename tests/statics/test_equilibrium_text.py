@@ -24,15 +24,6 @@ def test_an_equilibrium(bent):
     assert last.endswith("; successful")
 
 
-def test_a_status_in_words(bent):
-    failed = cddf.solve(paper_body(), -1.0, throw=False)
-    assert cddf.in_words(bent.status) == "successful"
-    assert cddf.in_words(failed.status) == cddf.Status.unphysical.words
-    assert str(failed) == f"no equilibrium: {cddf.in_words(failed.status)}"
-    assert bent.status == cddf.Status.successful
-    assert bent.status.dtype == np.int32
-
-
 @pytest.mark.parametrize(("ratio", "count"), [(0.5, 0), (0.8, 1)])  # an isotropic material has 0.5 at most
 def test_a_poissons_ratio_that_no_material_has(ratio, count):
     body = replace(paper_body("exact"), poissons_ratio=ratio)

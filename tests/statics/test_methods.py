@@ -17,7 +17,6 @@ ONE_PASS = {  # whether the turning of the tendon is the same from every guess o
     "published, slanted": (paper_with(CONVERGING, kinematics="published"), True),
     "exact": (PARALLEL, True),
     "exact, slanted": (paper_with(CONVERGING), False),
-    "drag": (DRAGGED, False),
 }
 
 
@@ -37,22 +36,24 @@ def test_parallel_tendons_in_space_with_the_same_friction_need_no_passes(frictio
     assert (found.num_iterations == 0) == (len(set(frictions)) == 1)
 
 
-@pytest.mark.parametrize(("direction", "friction", "expected"), [(+1, 1e200, "not_converged"), (-1, 2.0, "locked")])
+def tension_of(friction, modulus, direction):
+    body = replace(PARALLEL, friction_coefficient=friction, youngs_modulus=modulus)
+    solution = cddf.solve(body, 75.0, direction=direction, throw=False)
+    return solution.tip_tension[0], solution.status
+
+
+with_slope = jax.jit(jax.vmap(jax.value_and_grad(tension_of, has_aux=True), (0, 0, None)))
+
+
+@pytest.mark.parametrize(("direction", "friction", "expected"), [(1.0, 1e200, "not_converged"), (-1.0, 2.0, "locked")])
 def test_one_pass_without_a_solution_is_reported(direction, friction, expected):
     """The ratio overflows, or falls below zero; the lane beside them is that of a solve alone, slopes and all."""
     modulus = jnp.asarray([1e-200 if expected == "not_converged" else 1e5, 1.4e6])
-
-    def tension(friction, modulus):
-        body = replace(PARALLEL, friction_coefficient=friction, youngs_modulus=modulus)
-        solution = cddf.solve(body, 75.0, direction=direction, throw=False)
-        return solution.tip_tension[0], solution.status
-
-    with_slope = jax.jit(jax.vmap(jax.value_and_grad(tension, has_aux=True)))
-    (tensions, results), slopes = with_slope(jnp.asarray([friction, 0.1]), modulus)
+    (tensions, results), slopes = with_slope(jnp.asarray([friction, 0.1]), modulus, direction)
     assert codes(results)[0] == cddf.Status[expected]
     assert np.isnan(tensions[0])
     assert slopes[0] == 0.0
-    (alone, _), slope = with_slope(jnp.full(2, 0.1), jnp.full(2, 1.4e6))
+    (alone, _), slope = with_slope(jnp.full(2, 0.1), jnp.full(2, 1.4e6), direction)
     np.testing.assert_allclose([tensions[1], slopes[1]], [alone[1], slope[1]], rtol=1e-12)
 
 
@@ -73,14 +74,6 @@ def test_too_few_passes_are_reported():
     assert np.all(np.isnan(solution.tip_tension))
     with pytest.raises(cddf.SolveError, match=r"did not settle\. Raise nodes= or max_iterations"):
         cddf.solve(DRAGGED, 75.0, method=hasty)
-
-
-def test_a_looser_tolerance_takes_fewer_passes():
-    loose, tight = (
-        cddf.solve(DRAGGED, 75.0, method=method) for method in (cddf.FixedPoint(tolerance=1e-4), cddf.FixedPoint())
-    )
-    assert loose.num_iterations < tight.num_iterations
-    np.testing.assert_allclose(loose.tip_tension, tight.tip_tension, rtol=1e-3)
 
 
 def test_literal_iteration_refuses_finite_turns():

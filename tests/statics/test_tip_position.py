@@ -84,21 +84,13 @@ def reach(numbers):
     return found.base_tension, found
 
 
-@pytest.fixture(scope="module")
-def lanes_and_derivatives():
-    """The equilibria of the lanes, and both derivatives of the tensions by place, least and most, as `both_modes`."""
-
-    def everything(numbers):
-        _, along, found = jax.linearize(reach, numbers, has_aux=True)
-        (reverse,) = jax.vmap(jax.linear_transpose(along, numbers))(jnp.eye(3))
-        return found, jax.vmap(along, out_axes=-1)(jnp.eye(5)), reverse
-
-    return jax.jit(jax.vmap(everything))(np.stack([[*lane.place, lane.least, lane.most] for lane in LANES]))
+NUMBERS = np.stack([[*lane.place, lane.least, lane.most] for lane in LANES])
 
 
 @pytest.fixture(scope="module")
-def reached(lanes_and_derivatives):
-    return lanes_and_derivatives[0]
+def reached():
+    """The equilibria of the lanes."""
+    return jax.jit(jax.vmap(lambda numbers: reach(numbers)[1]))(NUMBERS)
 
 
 def test_the_least_tensions_that_reach_a_place_or_come_nearest(reached):
@@ -117,9 +109,17 @@ def test_the_miss_and_the_rank_are_reported(reached):
     assert reached.target_rank[:2].tolist() == [2, 2]
 
 
-def test_derivatives_in_both_modes_undo_those_of_the_tip(lanes_and_derivatives):
+@pytest.mark.slow
+def test_derivatives_in_both_modes_undo_those_of_the_tip():
+    """Of the tensions by place, least and most, as `both_modes`."""
+
+    def both(numbers):
+        _, along = jax.linearize(lambda numbers: reach(numbers)[0], numbers)
+        (reverse,) = jax.vmap(jax.linear_transpose(along, numbers))(jnp.eye(3))
+        return jax.vmap(along, out_axes=-1)(jnp.eye(5)), reverse
+
     h = 1e-4
-    for lanes in lanes_and_derivatives[1:]:
+    for lanes in jax.jit(jax.vmap(both))(NUMBERS):
         by_place, by_least = lanes[1, :, :3], lanes[1, :, 3]  # among lanes that fail
         steps = h * np.eye(3)[:2]
         pushed = np.stack([(tip_of(LEAST + step) - tip_of(LEAST - step)) / (2 * h) for step in steps], axis=1)

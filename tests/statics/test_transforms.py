@@ -17,6 +17,7 @@ def assert_same(a, b, tolerance=SAME):
         np.testing.assert_allclose(x, y, rtol=tolerance, atol=tolerance)
 
 
+@pytest.mark.slow
 def test_jit_is_eager():
     """One tendon: every operation is a call of its own, and with antagonists there are very many."""
 
