@@ -103,7 +103,7 @@ def test_a_path_of_several_blocks():
 
 @pytest.mark.slow
 def test_the_shape_is_the_integral_of_its_heading():
-    history, s = cddf.trace(BODY, PATH), np.linspace(0, LENGTH, 20001)
+    history, s = cddf.trace(BODY, [75.0, 40.0, 60.0, 50.0]), np.linspace(0, LENGTH, 20001)
     along = history.at(s)
     heading = np.asarray(along.heading)
     for component, function in enumerate((np.cos, np.sin)):
