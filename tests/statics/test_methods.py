@@ -80,6 +80,8 @@ def test_literal_iteration_refuses_finite_turns():
     kinked = cddf.Tendon(cddf.Piecewise.linear([0.0, 0.05, 0.14], [0.008, 0.012, 0.010]))
     with pytest.raises(ValueError, match="LiteralIteration is not possible for tendons that turn by a finite angle"):
         cddf.solve(paper_with(kinked), 40.0, method=cddf.LiteralIteration())
+    with pytest.raises(ValueError, match=r"LiteralIteration is a method without loads; use FixedPoint\(\) under loads"):
+        cddf.solve(paper_body(), 40.0, cddf.Loads(), method=cddf.LiteralIteration())
 
 
 @pytest.mark.parametrize("kinematics", ["published", "exact"])

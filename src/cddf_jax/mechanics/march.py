@@ -265,9 +265,18 @@ class FixedPoint(eqx.Module):
     def improve(
         self, problem: Problem, guess: Nodal, strain: Array | None = None, before: Number | float = 0.0
     ) -> Solution:
+        """One iteration from a guess; `converged` if its result is the solution.
+
+        Args:
+            problem: the body.
+            guess: the unknowns at its nodes.
+            strain: the elastic strain there, that of the iteration before.
+            before: the relative change in that iteration, 0 if there was none. It shows how fast they converge.
+        """
         return self._judged(problem, guess, march(problem, guess, strain), before)
 
     def finish(self, problem: Problem, guess: Nodal, strain: Array | None = None) -> Solution:
+        """As `improve`, with wrap angle and position."""
         along = march(problem, guess, strain, whole=True)
         found = self._judged(problem, guess, along, 0.0)
         return found if _has_headings(problem) else _with_frames(problem, found, along[3])

@@ -155,26 +155,11 @@ class Nodal(NamedTuple):
 class Method(Protocol):
     """A method that solves for shape and tension, from the base to the tip. Its settings are static.
 
-    Its states hold the elastic strain of `starts_of_newton`; each iteration takes the strain of the one before.
+    Its states hold the elastic strain of `starts_of_newton`.
     """
-
-    max_iterations: int  # calls of `improve` in one try
 
     def __call__(self, problem: Problem) -> Solution:
         """Solve to the end, for a given M_ext(0)."""
-        ...
-
-    def improve(
-        self, problem: Problem, guess: Nodal, strain: Array | None = None, before: Number | float = 0.0
-    ) -> Solution:
-        """One iteration from a guess; `converged` if its result is the solution.
-
-        `before` is the relative change in the iteration before, 0 if there was none. It shows how fast they converge.
-        """
-        ...
-
-    def finish(self, problem: Problem, guess: Nodal, strain: Array | None = None) -> Solution:
-        """As `improve`, with wrap angle and position."""
         ...
 
 

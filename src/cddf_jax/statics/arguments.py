@@ -134,14 +134,20 @@ def _check_number(target: Target, *, in_space: bool) -> None:
         check_range_in_space("solve", target.quantity, target.value)
 
 
-def check_in_space(method: Method) -> None:
-    """Refuse methods that exist in the plane only.
+def check_method(method: object, *, in_space: bool, loaded: bool) -> None:
+    """Refuse what is no method, and for a body in space or under loads every other than `FixedPoint`.
 
     Raises:
-        ValueError: names it, and what to use.
+        TypeError: for what is no method.
+        ValueError: names the method, and what to use.
     """
-    if not isinstance(method, FixedPoint):
-        raise ValueError(f"solve: {type(method).__name__} is a method for the plane; use FixedPoint() in space")
+    if isinstance(method, FixedPoint):
+        return
+    if not (isinstance(method, eqx.Module) and isinstance(method, Method)):
+        raise TypeError(f"solve: method must be one such as FixedPoint(), got {method!r}")
+    if in_space or loaded:
+        known, where = ("for the plane", "in space") if in_space else ("without loads", "under loads")
+        raise ValueError(f"solve: {type(method).__name__} is a method {known}; use FixedPoint() {where}")
 
 
 def per_tendon(manipulator: Manipulator, base_tension: PyTree, direction: Directions) -> tuple[PyTree, PyTree]:

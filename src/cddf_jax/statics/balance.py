@@ -11,7 +11,6 @@ from jaxtyping import Array, Float
 
 from ..mechanics.directions import travel_under_tension
 from ..mechanics.friction import PerTendon
-from ..mechanics.geometry import SPACE
 from ..mechanics.problem import Nodal, Number, Problem, Solution, State, all_points, nodal, strain_of
 from ..mechanics.tendon_displacement import tendon_displacement
 from ..numerics.fixed_point import Unknowns, implicit, without_derivative
@@ -84,9 +83,12 @@ class System(eqx.Module):
         The residual: the equations of the targets and the residual moment at the tip.
         Without values the method solves the whole problem, with derivatives of its own.
         """
-        problem, method = self.problem(unknowns), self.setup.method
-        improve = method.finish if self.whole else method.improve
-        solution = method(problem) if values is None else improve(problem, values, self.settled.strain)
+        problem, setup = self.problem(unknowns), self.setup
+        if values is None:
+            solution = setup.method(problem)
+        else:
+            improve = setup.iteration.finish if self.whole else setup.iteration.improve
+            solution = improve(problem, values, self.settled.strain)
         residual = jnp.concatenate([self.equations(problem, solution), missing_moment(problem, solution)])
         return (None if values is None else nodal(problem, solution.nodes), residual), (problem, solution)
 
@@ -116,7 +118,7 @@ def balance(
         equations: the residuals of the targets that are zero at these tensions, one for each; a pytree, see `implicit`.
         whole: whether the equations need frame and position.
     """
-    system = System(setup, base_tension, _where_found(settled), equations, unknown, whole)
+    system = System(setup, base_tension, settled, equations, unknown, whole)
     found, values = settled.load_path, system.settled.values
     root = system.root
     if values is not None or unknown:
@@ -124,7 +126,7 @@ def balance(
     problem = system.problem(root)
     if values is None:
         return _without_loads(problem, setup.method(problem), found)
-    solution = setup.method.finish(problem, values, system.settled.strain)
+    solution = setup.iteration.finish(problem, values, system.settled.strain)
     change = jnp.maximum(solution.residual, magnitude(moment_left_at_tip(problem, solution)))
     solution = replace(
         solution,
@@ -135,19 +137,6 @@ def balance(
     )
     grown = jnp.where(found.converged, settled.error_amplification, 1.0)
     return Balance(problem, solution, found, settled.travel, grown)
-
-
-def _where_found(settled: Settled) -> Settled:
-    """With the values of the body without friction and loads in a lane of a batch that found none."""
-    if settled.values is None:
-        return settled
-    ratio, moment, frame = settled.values
-    upright = None if frame is None else jnp.zeros_like(frame) + jnp.asarray(SPACE.upright, frame.dtype)
-    none = jax.tree.map(jnp.zeros_like, (moment, settled.strain))
-    start = Nodal(jnp.ones_like(ratio), none[0], upright), none[1]
-    good, here = settled.load_path.converged, (settled.values, settled.strain)
-    values, strain = without_derivative(jax.tree.map(lambda x, guess: jnp.where(good, x, guess), here, start))
-    return settled._replace(values=values, strain=strain)
 
 
 def _without_loads(problem: Problem, solution: Solution, path: LoadPath) -> Balance:

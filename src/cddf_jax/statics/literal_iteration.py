@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from functools import partial
-from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -15,8 +14,6 @@ from ..mechanics.directions import Directions, not_stated
 from ..mechanics.friction import PerTendon, Pull
 from ..mechanics.geometry import axis_of
 from ..mechanics.problem import (
-    Nodal,
-    Number,
     Problem,
     Solution,
     State,
@@ -49,11 +46,8 @@ class LiteralIteration(eqx.Module):
 
     tip_tolerance: float = eqx.field(default=1e-4, static=True)
     max_updates: int = eqx.field(default=100, static=True)
-    max_iterations: ClassVar[int] = 64
 
     def __call__(self, problem: Problem) -> Solution:
-        if problem.loads is not None:
-            raise ValueError("LiteralIteration is the paper's algorithm and has no loads; use FixedPoint")
         _refuse_drag(problem.manipulator)
         answer = fixed_point(
             Partial(literal_update, problem),
@@ -63,13 +57,6 @@ class LiteralIteration(eqx.Module):
             size=Partial(_tip_motion, without_derivative(problem.elements)),
         )
         return _as_solution(problem, answer)
-
-    def improve(
-        self, problem: Problem, guess: Nodal, strain: Array | None = None, before: Number | float = 0.0
-    ) -> Solution:
-        return self(problem)
-
-    finish = improve
 
 
 def _as_solution(problem: Problem, answer: FixedPointResult) -> Solution:

@@ -3,14 +3,17 @@
 The search has no derivatives: `balance` gives them to the result, by the implicit function theorem.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
 from ..mechanics.directions import find_directions, travel_under_tension
 from ..mechanics.friction import PerTendon
+from ..mechanics.march import FixedPoint
 from ..mechanics.problem import Method, Nodal, Number, Problem, lay_out, loaded_to, state_at_nodes
 from ..mechanics.tendon_displacement import tendon_displacement
 from ..numerics.arrays import zero_as
@@ -30,6 +33,12 @@ class Setup(eqx.Module):
     nodes: int = eqx.field(static=True)
     to_find: tuple[int, ...] = eqx.field(default=(), static=True)  # the tendons whose direction is not stated
 
+    @property
+    def iteration(self) -> FixedPoint:
+        """The method of a loaded body, whose iterations go on together with those of the moment at the base."""
+        assert isinstance(self.method, FixedPoint)
+        return self.method
+
     def lay_out(self, base_tension: PerTendon, rough: bool = False) -> Problem:
         """The problem under the full loads."""
         return lay_out(self.manipulator, base_tension, self.direction, self.nodes, self.loads, rough=rough)
@@ -45,7 +54,7 @@ class Settled(NamedTuple):
     direction: PerTendon
     load_path: LoadPath
     travel: PerTendon  # with which directions are compared, m
-    values: Nodal | None  # the unknowns at the nodes; None without loads
+    values: Nodal | None  # the unknowns at the nodes, where none was found those of `unbent`; None without loads
     strain: Array | None  # the elastic strain there, approximately; None where it has a closed form
     num_iterations: Number
     locked: Flag
@@ -82,7 +91,7 @@ def unsettled(setup: Setup, base_tension: PerTendon) -> Settled:
     if setup.loads is None:
         return start
     zero = start.num_iterations
-    first = LoadedBody(setup.lay_out(base_tension), setup.method).first(zero)
+    first = LoadedBody(setup.lay_out(base_tension), setup.iteration).first(zero)
     path = start.load_path._replace(base_moment=first.values.moment, fraction=zero)
     return start._replace(load_path=path, values=first.values.nodal, strain=first.strain)
 
@@ -98,7 +107,7 @@ def _nothing_to_find(setup: Setup, base_tension: PerTendon) -> Settled:
 def _loaded(setup: Setup, base_tension: PerTendon) -> Settled:
     """Follow the loads on the rough body, then settle the body with its kinks."""
     start = _nothing_to_find(setup, base_tension)
-    rough, body = (LoadedBody(setup.lay_out(base_tension, each), setup.method) for each in (True, False))
+    rough, body = (LoadedBody(setup.lay_out(base_tension, each), setup.iteration) for each in (True, False))
     path, end = follow_loads(rough, start.num_iterations)
     state = state_at_nodes(rough.problem, end.values.nodal, end.strain)
     travel = travel_under_tension(rough.problem, state.pull, rough.travel_rate(end, path.fraction))
@@ -108,12 +117,15 @@ def _loaded(setup: Setup, base_tension: PerTendon) -> Settled:
         converged=path.converged & found.settled,
         resolved=path.resolved & (found.settled | ~path.converged),
     )
+    first = body.first(start.num_iterations)  # for a lane of a batch that found none
+    unmoved, moved = (first.values.nodal, first.strain), (found.nodal, found.strain)
+    values, strain = jax.tree.map(partial(jnp.where, path.converged), moved, unmoved)
     return Settled(
         direction=start.direction,
         load_path=path,
         travel=travel,
-        values=found.nodal,
-        strain=found.strain,
+        values=values,
+        strain=strain,
         num_iterations=num_iterations,
         locked=end.locked | (found.lost & found.settled),
         error_amplification=rough.error_amplification(end),

@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..mechanics.friction import PerTendon
+from ..mechanics.march import FixedPoint
 from ..mechanics.problem import (
-    Method,
     Moment,
     Nodal,
     Number,
@@ -88,7 +88,7 @@ class LoadedBody(NamedTuple):
     """A body, to be solved at any load fraction and with any moment at its base."""
 
     problem: Problem
-    method: Method
+    method: FixedPoint
 
     def at(self, moment: Moment, fraction: Number, pull: Number) -> Problem:
         """The problem at a moment over its scale, a load fraction, and a factor on all base tensions."""

@@ -28,7 +28,7 @@ from ..robot.validation import check_loads
 from .arguments import (
     GivenDirections,
     are_possible,
-    check_in_space,
+    check_method,
     check_nodes,
     check_targets,
     checked_loads,
@@ -118,8 +118,6 @@ def solve(
         what = "solve: friction_moment, outside_friction and outside_drag act along a history"
         raise InputError(what, remedy="use trace, or leave them out of the body")
     check_nodes(nodes)
-    if not isinstance(method, FixedPoint | Method) or isinstance(method, type):
-        raise TypeError(f"solve: method must be one such as FixedPoint(), got {method!r}")
     given, targets = split_actuation(manipulator, base_tension)
     given, direction = per_tendon(manipulator, given, direction)
     loads = checked_loads(loads)
@@ -127,7 +125,7 @@ def solve(
         loads = Loads()
     if space or manipulator.in_space or (loads is not None and loads.in_space):
         manipulator = in_space(manipulator)
-        check_in_space(method)
+    check_method(method, in_space=manipulator.in_space, loaded=loads is not None)
     check_targets(manipulator, targets)
     check_loads(manipulator, loads)
     try:
