@@ -8,7 +8,6 @@ import subprocess
 import sys
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,9 +18,9 @@ from places import DATA
 import cddf_jax as cddf
 from cddf_jax.batch.store import Memory
 from cddf_jax.cli import sweep_options
-from cddf_jax.figures import style as plotting
 from cddf_jax.reports import sweep_report
 from cddf_jax.sweeping import export as sweep_exports
+from cddf_jax.sweeping.sweep import Sweep
 
 PAPER = DATA / "smooth_sil_940.toml"
 LENGTH, G = 0.14, 2.942783188998e4  # m, m^-2, docs/theory.md (16)
@@ -61,14 +60,6 @@ def read(*over, base_tension=None, body=None, **asked):
     return sweep_options.read_sweep(body, over, base_tension=base_tension or [], **asked)
 
 
-# --- reading -------------------------------------------------------------------------------------
-
-
-def test_values_and_ranges_in_one_list():
-    values = read("base_tension=0N, 10N:30N:3,20N").dimensions[0].numbers["base_tension"]
-    assert values.tolist() == [0.0, 10.0, 20.0, 30.0, 20.0]
-
-
 # --- running -------------------------------------------------------------------------------------
 
 
@@ -83,7 +74,6 @@ def test_a_sweep_with_all_its_files_and_once_more_after_a_stop(run, tmp_path, mo
     files = {path.name for path in tmp_path.iterdir()}
     assert files == {"sweep.zarr", "sweep.json", "sweep.pdf", "sweep.png", "tables"}
     assert {path.name for path in (tmp_path / "tables").iterdir()} == {"sweep.nc", "sweep.csv"}
-    assert told["paths"]["figures"] == ["sweep.pdf", "sweep.png"]
 
     tensions, frictions = np.linspace(5.0, 85.0, 5), np.linspace(0.1, 0.6, 4)
     expected = np.array([[tip_tension(t, mu) for mu in frictions] for t in tensions])
@@ -91,9 +81,6 @@ def test_a_sweep_with_all_its_files_and_once_more_after_a_stop(run, tmp_path, mo
     assert list(answer["tip_position"].dims) == ["base_tension", "friction_coefficient", "component"]
     np.testing.assert_allclose(answer["base_tension"], tensions, rtol=1e-15)
     np.testing.assert_allclose(answer["tip_tension"].isel(tendon=0), expected, rtol=1e-9)
-    alone = cddf.solve(replace(cddf.read_manipulator(PAPER), friction_coefficient=frictions[1]), tensions[3])
-    np.testing.assert_allclose(answer["tip_position"][3, 1], alone.tip_position, rtol=1e-12)
-
     assert told["axes"] == [
         {"name": "base_tension", "dimension": "base_tension", "first": 5.0, "last": 85.0, "count": 5, "unit": "N"},
         {"name": "friction_coefficient", "dimension": "friction_coefficient"}
@@ -109,11 +96,6 @@ def test_a_sweep_with_all_its_files_and_once_more_after_a_stop(run, tmp_path, mo
     heads = ["base_tension [N]", "friction_coefficient", "tip_tension [N]", "tip_position.X [m]", "tip_position.Y [m]"]
     assert list(rows[0]) == [*heads, "result"]
     assert [float(row["tip_tension [N]"]) for row in rows] == answer["tip_tension"].values.ravel().tolist()
-    assert [float(row["tip_position.Y [m]"]) for row in rows] == answer["tip_position"].values[..., 1].ravel().tolist()
-    assert [(float(r["base_tension [N]"]), float(r["friction_coefficient"])) for r in rows[3:5]] == [
-        (5.0, pytest.approx(0.6)),
-        (25.0, pytest.approx(0.1)),
-    ]
     assert {row["result"] for row in rows} == {"successful"}
 
     with xarray.open_dataset("tables/sweep.nc", engine="scipy") as netcdf:
@@ -127,7 +109,7 @@ def test_a_sweep_with_all_its_files_and_once_more_after_a_stop(run, tmp_path, mo
     chunks = [path for path in chunks if path.is_file()]
     assert len(chunks) == 3  # of 2 x 4, the last of 1 x 4
     chunks[1].unlink()
-    monkeypatch.setattr(plotting, "render", lambda figure, name: {})
+    monkeypatch.setattr("cddf_jax.figures.render", lambda figure, name: {})
     code, text, error = run(*arguments)
     assert (code, error) == (0, "")
     assert text.startswith("20 solves, 12 there already, 8 more in ")
@@ -146,35 +128,11 @@ def test_failed_solves_are_counted_and_reported(run):
     assert others[1].startswith("unphysical: The body or its load is not physical")
     tip = tip_tension(10.0, 0.42)
     assert f"tip_tension: {tip:.5g} N to {tip:.5g} N" in others
-    assert others[-1] == (
-        "written: folder/sweep.zarr, folder/sweep.pdf, folder/sweep.png, folder/sweep.json, folder/table.csv"
-    )
+    assert others[-1] == "in no figure or table, as they run along the body: curvature"
     rows = rows_of("folder/table.csv")
     assert list(rows[0]) == ["base_tension [N]", "tip_tension [N]", "result"]  # no line along the body in a table
     assert [row["result"] for row in rows] == ["unphysical", "successful", "crossing"]
     assert [bool(row["tip_tension [N]"]) for row in rows] == [False, True, True]
-
-
-@pytest.mark.slow
-def test_targets_samples_and_options(run):
-    """Capstan law: T_tip = T exp(-mu angle), whatever the body, in the exact kinematics."""
-    sample = ("--sample", "youngs_modulus=1.2MPa:1.6MPa", "--sample", "friction_coefficient=0.1:0.6", "--samples", 4)
-    target = ("-t", "tip_angle=45 deg", "--over", "base_tension.value=10deg:60deg:2", "--over", "kinematics=exact")
-    options = ("--seed", 3, "--nodes", 8)
-    outputs = ("--output", "tip_tension, base_tension,tip_angle", "--out", "out")
-    code, text, error = run(PAPER, *target, *sample, *options, *outputs, "--json")
-    assert (code, error) == (0, "")
-    answer = opened("out/sweep.zarr").isel(kinematics=0)
-    friction = answer["friction_coefficient"]
-    ratio = (answer["tip_tension"] / answer["base_tension"]).isel(tendon=0)
-    np.testing.assert_allclose(ratio, np.exp(-friction * answer["tip_angle"]).transpose(*ratio.dims), rtol=1e-7)
-    np.testing.assert_allclose(answer["tip_angle"].isel(sample=0), np.radians([10.0, 60.0]), rtol=1e-8)
-    expected = cddf.latin_hypercube({"youngs_modulus": (1.2e6, 1.6e6), "friction_coefficient": (0.1, 0.6)}, 4, 3)
-    np.testing.assert_array_equal(friction, expected["friction_coefficient"])
-    axes = {axis["name"]: axis for axis in json.loads(text)["axes"]}
-    assert (axes["youngs_modulus"]["dimension"], axes["youngs_modulus"]["count"]) == ("sample", 4)
-    assert (axes["kinematics"]["first"], axes["kinematics"]["unit"]) == ("exact", None)
-    assert axes["base_tension.value"]["last"] == pytest.approx(np.pi / 3)
 
 
 def test_two_tendons_in_a_table(tmp_path):
@@ -198,11 +156,27 @@ def test_two_tendons_in_a_table(tmp_path):
 
 
 def test_no_success_at_all(run, tmp_path):
-    code, text, error = run(PAPER, "--over", "base_tension=-5N,-6N", "--out", "x.zarr")
+    code, text, error = run(PAPER, "--over", "base_tension=-5N,-6N", "--output", "tip_tension", "--out", "x.zarr")
     assert code == 1
     assert ": 2 unphysical\n" in text
     assert error == "error: no solve was successful; see the results\n"
     assert (tmp_path / "x.json").exists()
+
+
+def test_the_summary_states_the_loads(tmp_path, monkeypatch):
+    """Nothing is solved: the results are made up."""
+
+    def made_up(work, _):
+        answer = Memory(work.layout).dataset()
+        answer["result"][...] = cddf.Status.crossing
+        return answer
+
+    monkeypatch.setattr(Sweep, "run", made_up)
+    work = read("base_tension=5N,10N", loads=cddf.Loads(gravity=(0.0, -9.81)))
+    found = sweep_report.run_sweep(work, sweep_report.Places(tmp_path / "x.zarr"), {})
+    assert found is not None
+    assert found[1]["results"] == {"crossing": 2}
+    assert found[1]["loads"]["gravity"] == pytest.approx([0.0, -9.81])
 
 
 # --- task files ----------------------------------------------------------------------------------
@@ -306,15 +280,10 @@ def test_a_dry_run_sees_what_is_there(run, tmp_path):
 @pytest.mark.parametrize(
     ("text", "name", "values"),
     [
-        ("base_tension=5N:85N:17", "base_tension", np.arange(5.0, 86.0, 5.0)),
+        ("base_tension=0N, 10N:30N:3,20N", "base_tension", [0.0, 10.0, 20.0, 30.0, 20.0]),
         (" base_tension = 0.085 kN : 5 N : 17 ", "base_tension", np.arange(85.0, 4.0, -5.0)),
-        ("friction_coefficient=0.1:0.6:6", "friction_coefficient", np.arange(1, 7) / 10),
         ("youngs_modulus=1.2 MPa,1400 kPa", "youngs_modulus", [1.2e6, 1.4e6]),
-        ("outer_radius.tip=12mm:14mm:3", "outer_radius.tip", [0.012, 0.013, 0.014]),
-        ("tendons.0.offset=1cm,11 mm", "tendons.0.offset", [0.01, 0.011]),
         ("loads.tip_force.1=-5N:5N:3", "loads.tip_force.1", [-5.0, 0.0, 5.0]),
-        ("loads.tip_moment=0.1 N m,200 N mm", "loads.tip_moment", [0.1, 0.2]),
-        ("loads.gravity.1=-9.81 m/s^2,-981 cm/s^2", "loads.gravity.1", [-9.81, -9.81]),
         ("density=1 g/cm^3:1.2 g/cm^3:2", "density", [1000.0, 1200.0]),
         ("direction=1,-1", "direction", [1.0, -1.0]),
     ],
@@ -329,10 +298,7 @@ def test_axes_with_units(text, name, values):
     ("target", "text", "values"),
     [
         ("tip_angle=45 deg", "10deg:60deg:2", np.radians([10.0, 60.0])),
-        ("displacement=5 mm", "1mm,2mm", [0.001, 0.002]),
-        ("tip_tension=5 N", "1N,2N", [1.0, 2.0]),
         ("curvature=8 1/m at 70 mm", "1 1/m,2 1/m", [1.0, 2.0]),
-        ("tip_stiffness=350 N/m", "0.3 N/mm,0.4 N/mm", [300.0, 400.0]),
     ],
 )
 def test_targets_with_units(target, text, values):
@@ -354,25 +320,12 @@ def test_options_as_axes():
     ]
 
 
-def test_axes_that_are_one():
-    work = read(
-        "friction_coefficient=0.1,0.5", *TENSIONS[1:], "youngs_modulus=1MPa,2MPa",
-        together=["youngs_modulus, friction_coefficient"],
-    )  # fmt: skip
-    tension, pair = work.dimensions
-    assert (tension.name, tension.size) == ("base_tension", 5)
-    assert pair.name == "youngs_modulus_and_friction_coefficient"
-    assert {name: values.tolist() for name, values in pair.numbers.items()} == {
-        "youngs_modulus": [1e6, 2e6],
-        "friction_coefficient": [0.1, 0.5],
-    }
-
-
 def test_a_sweep_over_axes_that_are_one(run):
     pair = ("--over", "youngs_modulus=1MPa,2MPa", "--together", "friction_coefficient,youngs_modulus")
     arguments = ("-t", "50 N", "--over", "friction_coefficient=0.1,0.5", *pair, "--output", "tip_tension")
     code, _, error = run(PAPER, *arguments, "--out", "x.zarr", "--csv", "x.csv")
     assert (code, error) == (0, "")
+    assert opened("x.zarr")["tip_tension"].dims[0] == "friction_coefficient_and_youngs_modulus"
     found = [float(row["tip_tension [N]"]) for row in rows_of("x.csv")]
     np.testing.assert_allclose(found, [tip_tension(50.0, 0.1 * 1.4), tip_tension(50.0, 0.5 * 0.7)], rtol=1e-9)  # mu / E
 
@@ -386,30 +339,17 @@ def test_samples_are_those_of_the_library():
         np.testing.assert_array_equal(axis.numbers[name], values)
 
 
-def test_where_things_go():
-    assert sweep_report.read_places(Path("a/b.zarr"), None, None).store == Path("a/b.zarr")
-    assert sweep_report.read_places(Path("a"), None, None).store == Path("a/sweep.zarr")
-
-
 # --- errors --------------------------------------------------------------------------------------
 
 
 WRONG = [
     ((), "nothing varies; give --over "),
     (("--over", "base_tension"), "--over 'base_tension': write for example "),
-    (("--over", "=1,2"), "--over '=1,2': write for example "),
     (("--over", "base_tension=5:85:17 N"), "--over base_tension: write first, last and how many, 2 or more, as in "),
-    (("--over", "base_tension=5:85:17"), "--over base_tension needs a unit of force, got '5'"),
-    (("--over", "base_tension=5N:85mm:17"), "--over base_tension needs a unit of force, got '85mm'"),
-    (("--over", "base_tension=5N:85N"), "--over base_tension: write first, last and how many"),
     (("--over", "base_tension=5N:85N:1"), "--over base_tension: write first, last and how many"),
-    (("--over", "base_tension=5N:85N:1.5"), "--over base_tension: write first, last and how many"),
     (("--over", "base_tension=5N:5N:3"), "--over base_tension: first and last are the same"),
-    (("--over", "base_tension=5N,"), "--over base_tension is not a number, got ''"),
-    (("--over", "friction_coefficient=0.1 N,2"), "--over friction_coefficient is a plain number, got '0.1 N'"),
     ((*TENSIONS, *TENSIONS), "--over base_tension is given twice; leave one out"),
     ((*TENSIONS, "--together", "base_tension"), "--together 'base_tension': name two axes or more, each once, as in "),
-    ((*TENSIONS, "--together", "base_tension,base_tension"), "--together 'base_tension,base_tension': name two axes"),
     (
         (*TENSIONS, "--together", "base_tension,youngs_modulus"),
         "--together 'base_tension,youngs_modulus': there is no --over youngs_modulus; give it its values there",
@@ -422,22 +362,12 @@ WRONG = [
     ((*TENSIONS, "--over", "kinematics=exact", "--kinematics", "exact"), "kinematics is given by --kinematics and "),
     ((*TENSIONS, "--over", "nodes=8:16:2"), "--over nodes: write whole numbers as in nodes=8,16"),
     ((*TENSIONS, "--over", "method=literal"), "--over method: the command line takes no methods"),
-    ((*FRICTIONS, "-t", "75"), "--base-tension needs a unit of force, got '75'"),
     ((*TENSIONS, "--sample", "youngs_modulus=1MPa:2MPa"), "--sample needs the number of samples"),
     ((*TENSIONS, "--samples", "5"), "--samples 5: nothing is sampled"),
-    ((*TENSIONS, "--samples", "0"), "Invalid value for '--samples'"),
     ((*TENSIONS, "--samples", "4", "--sample", "youngs_modulus=1MPa"), "--sample youngs_modulus: write least and "),
-    (
-        (*TENSIONS, "--samples", "4", "--sample", "youngs_modulus=2MPa:1MPa"),
-        "samples: the range of 'youngs_modulus' must be ",
-    ),
     ((*TENSIONS, "--samples", "4", "--sample", "nodes=8:16"), "--sample nodes: only numbers have a range"),
     ((*TENSIONS, "--output", "tip_tention"), "sweep: 'tip_tention' is not an output"),
     (("--over", "base_tension=1N:2N:1000000000000"), "--over base_tension: 1000000000000 values are more than"),
-    ((*TENSIONS, "--chunk", "0"), "Invalid value for '--chunk'"),
-    ((*TENSIONS, "--nodes", "3"), "Invalid value for '--nodes'"),
-    ((*TENSIONS, "--direction", "2"), "--direction 2: give +1"),
-    ((*TENSIONS, "--tip-force", "5 N"), "--tip-force needs two components"),
     ((*TENSIONS, "--gravity", "0, -9.81 m/s^2"), "loads.gravity: the body has no weight"),
     ((*TENSIONS, "--csv", "."), "--csv .: is a folder; give the name of a file"),
     ((*TENSIONS, "--csv", "x", "--netcdf", "x"), "--netcdf and --csv are both x"),
@@ -480,8 +410,6 @@ def test_a_full_disk_leaves_no_half_table(monkeypatch, tmp_path):
 
 
 def test_a_disk_that_fills_up_leaves_the_summary_on_standard_output(run, monkeypatch, tmp_path):
-    """With the counts, and with the store alone among what was written."""
-
     def full(*arguments):
         raise cddf.InputError("No space left on device", where="x.nc")
 
@@ -490,7 +418,6 @@ def test_a_disk_that_fills_up_leaves_the_summary_on_standard_output(run, monkeyp
     code, text, error = run(*arguments, "--out", "x.zarr", "--netcdf", "x.nc")
     assert (code, error) == (2, "error: not written: x.nc: No space left on device\n")
     assert text.startswith("2 solves in ")
-    assert text.endswith("\nwritten: x.zarr\n")
     assert [path.name for path in tmp_path.iterdir()] == ["x.zarr"]
 
 
@@ -514,59 +441,25 @@ def test_an_interruption(run, monkeypatch):
 # --- loops ---------------------------------------------------------------------------------------
 
 
-def test_a_loop_with_all_its_files(run, tmp_path):
-    """Back at 75 N the tip tension is that of the closed form; at 40 N it is still that of 75 N."""
-    path = ("--history", "--over", "base_tension=0N:75N:4,40N,75N", "--over", "friction_coefficient=0.4,0.5")
-    code, text, error = run(PAPER, *path, "--output", "tip_tension", "--out", "loops", "--csv", "loops.csv", "--json")
-    assert (code, error) == (0, "")
-    assert json.loads(text)["results"] == {"successful": 12}
-    rows = rows_of("loops.csv")
-    assert [float(row["base_tension [N]"]) for row in rows[::2]] == [0, 25, 50, 75, 40, 75]
-    for row in rows[-6:]:
-        top = tip_tension(75.0, float(row["friction_coefficient"]))
-        assert float(row["tip_tension [N]"]) == pytest.approx(top, rel=1e-9)
-    files = {path.name for path in (tmp_path / "loops").iterdir()}
-    assert files == {"sweep.zarr", "sweep.json", "sweep.pdf", "sweep.png"}
-
-
 PAIR_LOOP = ("--over", "base_tension_1=0N:75N:4,40N", "--over", "base_tension_2=5N,20N")
 
 
-@pytest.fixture
-def pair_file(tmp_path):
-    """The paper's body with a tendon on its other side, in the exact kinematics."""
-    text = PAPER.read_text(encoding="utf-8").replace('"published"', '"exact"')
-    path = tmp_path / "pair.toml"
-    path.write_text(text + '\n[[tendons]]\noffset = "10 mm"\nside = -1\n', encoding="utf-8")
-    return path
-
-
-def test_the_axis_that_is_the_path(run, pair_file, monkeypatch, tmp_path):
+def test_the_axis_that_is_the_path(run, two_tendons, monkeypatch, tmp_path):
     """By an option, or in a task file; without it the remedy names the option."""
     works = []
     monkeypatch.setattr(sweep_report, "run_sweep", lambda work, places, options: works.append(work))
     task = tmp_path / "sweep.toml"
     task.write_text('history_axis = "base_tension_1"\nshort_steps = 4\n', encoding="utf-8")
+    path = ("--history", "--over", "base_tension=0N:75N:4,40N,75N", *FRICTIONS, "--out", "loops")
+    assert run(PAPER, *path)[0] == 0
+    assert (works[-1].path.name, works[-1].path.size) == ("base_tension", 6)
     for options in (("--history-axis", "base_tension_1", "--short-steps", "4"), ("--task", task)):
-        assert run(pair_file, *PAIR_LOOP, *options, "--out", "loops")[0] == 0
+        assert run(two_tendons, *PAIR_LOOP, *options, "--out", "loops")[0] == 0
         assert (works[-1].path.name, works[-1].short_steps) == ("base_tension_1", 4)
-    code, _, error = run(pair_file, *PAIR_LOOP, "--history", "--dry-run")
+    code, _, error = run(two_tendons, *PAIR_LOOP, "--history", "--dry-run")
     assert code == 2
     assert error.startswith("error: sweep: base tensions vary along 'base_tension_1', 'base_tension_2'; give ")
     assert error.endswith("the path (--history-axis)\n")
-
-
-@pytest.mark.slow
-def test_loops_of_a_pair_are_those_of_its_traces(run, pair_file):
-    """With the increments that were asked for."""
-    options = ("--history-axis", "base_tension_1", "--short-steps", "4", "--nodes", "8", "--output", "tip_angle")
-    code, _, error = run(pair_file, *PAIR_LOOP, *options, "--out", "loops", "--csv", "loops.csv")
-    assert (code, error) == (0, "")
-    found = [float(row["tip_angle [rad]"]) for row in rows_of("loops.csv")]
-    for i, against in enumerate((5.0, 20.0)):
-        path = [[tension, against] for tension in (0.0, 25.0, 50.0, 75.0, 40.0)]
-        history = cddf.trace(paper_body("exact", num_tendons=2), path, nodes=8, short_steps=4, throw=False)
-        np.testing.assert_allclose(found[i::2], history.tip_angle, rtol=1e-7)
 
 
 # --- processes -----------------------------------------------------------------------------------
@@ -584,12 +477,6 @@ def test_all_cores():
         done = subprocess.run([sys.executable, "-c", script], env=kept | own, capture_output=True, text=True)
         devices, cores = map(int, done.stdout.split())
         assert devices == (count or cores)
-
-
-def test_help_names_the_options(run):
-    code, text, _ = run("--help")
-    assert code == 0
-    assert all(option in text for option in ("--over", "--sample", "--dry-run", "--distributed", "--netcdf"))
 
 
 @pytest.mark.slow

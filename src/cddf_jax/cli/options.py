@@ -1,8 +1,7 @@
 """What several commands share: their options, reading the manipulator and the data, and printing the answer."""
 
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, NoReturn, TypeVar
 
@@ -167,23 +166,28 @@ def print_answer(text: str, answer: object, *, as_json: bool) -> None:
     typer.echo(in_utf8(text))
 
 
-def give(report: "Report", out: Path | None, *, as_json: bool, code: int = FAILED) -> None:
-    """Write a report to the folder of `--out`, print it, and end the command with an exit code if it failed."""
-    with printed(lambda: report.text, report.answer, as_json=as_json):
-        if out is not None:
-            report.write(out)
-    if report.failure:
-        stop(report.failure, code)
+def give(
+    report: "Report",
+    out: Path | None,
+    *,
+    as_json: bool,
+    code: int = FAILED,
+    export: Callable[[], None] | None = None,
+) -> None:
+    """Write a report to the folder of `--out`, print it, and end the command with an exit code if it failed.
 
-
-@contextmanager
-def printed(text: Callable[[], str], answer: object, *, as_json: bool) -> Iterator[None]:
-    """Print the answer after the block, which writes it to files; also if that fails."""
+    `export` writes what else is asked for. What cannot be written is said; the answer is printed all the same.
+    """
     try:
         with within("not written"):
-            yield
+            if export is not None:
+                export()
+            if out is not None:
+                report.write(out)
     finally:
-        print_answer(text(), answer, as_json=as_json)
+        print_answer(report.text, report.answer, as_json=as_json)
+    if report.failure:
+        stop(report.failure, code)
 
 
 def read_robot(robot: Path, kinematics: Kinematics | None, configure: Callable[[], None] | None = None) -> "RobotFile":

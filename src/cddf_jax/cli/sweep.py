@@ -2,6 +2,7 @@
 
 import os
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -182,14 +183,12 @@ def sweep(
         found = sweep_report.run_sweep(work, places, context.params)
         if found is None:
             return
-        answer, summary = found
-        with options.printed(lambda: sweep_report.summary_in_words(summary), summary, as_json=as_json):
-            sweep_report.write_results(work, answer, places, summary)
+        export = partial(sweep_report.write_exports, work, found[0], places)
+        report = sweep_report.sweep_report(work, *found, places.store.stem)
+        options.give(report, places.store.parent, as_json=as_json, export=export)
     except KeyboardInterrupt:
         remedy = "what is in the store stays there, start the same command again and it goes on"
         options.stop(f"interrupted; {remedy}", options.INTERRUPTED)
-    if "successful" not in summary["results"]:
-        options.stop("no solve was successful; see the results", options.FAILED)
 
 
 def _configure() -> None:

@@ -9,6 +9,7 @@ import jax
 import numpy as np
 from rich import filesize
 
+from .. import figures
 from ..batch.drafts import check_folder
 from ..batch.store import ZarrStore
 from ..batch.work import COPIES
@@ -20,7 +21,7 @@ from ..sweeping.export import blocks_of, is_short, labelled, write_csv, write_ne
 from ..sweeping.one_solve import RESULT, VERDICTS
 from ..sweeping.sweep import Sweep
 from ..units import DIMENSION_OF, shown
-from .report import versions
+from .report import Content, Report, versions
 
 if TYPE_CHECKING:
     import xarray
@@ -105,7 +106,7 @@ def run_sweep(work: Sweep, places: Places, options: Mapping[str, object]) -> "tu
         "options": {name: str(value) if isinstance(value, Path) else value for name, value in options.items()},
         "identity": work.identity,
         "versions": versions("xarray", "zarr"),
-        "paths": {"store": in_utf8(places.store)},
+        "store": in_utf8(places.store),
     }
     return answer, summary
 
@@ -120,43 +121,33 @@ def _there_already(work: Sweep, store: Path) -> tuple[int, int]:
 
 
 @stage("writing")
-def write_results(work: Sweep, answer: "xarray.Dataset", places: Places, summary: Json) -> None:
-    """Write exports, figures and the JSON; their paths, and what they leave out, go into the summary."""
-    from ..figures.style import render
-    from ..figures.sweeps import sweep_figure
-    from ..figures.workspace import workspace_figure
-    from ..files.writing import as_json, write_all
-
+def write_exports(work: Sweep, answer: "xarray.Dataset", places: Places) -> None:
+    """Write the answer as NetCDF and as a table, where a place is given for them."""
     if places.netcdf is not None:
         write_netcdf(answer, places.netcdf)
     if places.csv is not None:
         write_csv(work.layout, answer, places.csv)
-    folder, stem = places.store.parent, places.store.stem
-    drawn = [name for name in work.outputs if is_short(work.layout, name)]
-    no_figure, files = "", {}
+
+
+def sweep_report(work: Sweep, answer: "xarray.Dataset", summary: Json, name: str) -> Report:
+    """The summary of `run_sweep` and the figures; it says why there is no figure, and what no figure shows."""
+    drawn, no_figure = [output for output in work.outputs if is_short(work.layout, output)], ""
+    made: dict[str, Content] = {}
     try:
-        files = render(sweep_figure(answer, drawn), stem) if drawn else {}
+        made |= {name: figures.sweep_figure(answer, drawn)} if drawn else {}
     except InputError as error:
         no_figure = str(error)
     tips = answer.data_vars.get("tip_position")
     if tips is not None and tips.sizes["component"] == 3 and bool(tips.notnull().all("component").any()):
         try:
-            cloud = workspace_figure(answer)
+            cloud = figures.workspace_figure(answer)
         except InputError:  # not every base tension is known
-            cloud = workspace_figure(answer, next(name for axis in work.dimensions for name in axis.numbers))
-        files |= render(cloud, f"{stem}_workspace")
-    name = f"{stem}.json"
-    paths: Json = {
-        "store": in_utf8(places.store),
-        "json": in_utf8(folder / name),
-        "figures": [in_utf8(folder / file) for file in files],
-        "no_figure": no_figure,
-        "only_in_store": [name for name in work.outputs if name not in drawn],
-        "netcdf": places.netcdf and in_utf8(places.netcdf),
-        "csv": places.csv and in_utf8(places.csv),
-    }
-    write_all(folder, {**files, name: as_json(summary | {"paths": paths})})
-    summary["paths"] = paths
+            cloud = figures.workspace_figure(answer, next(name for axis in work.dimensions for name in axis.numbers))
+        made[f"{name}_workspace"] = cloud
+    along = [output for output in work.outputs if output not in drawn]
+    told = summary | {"no_figure": no_figure, "only_in_store": along}
+    failure = "" if "successful" in summary["results"] else "no solve was successful; see the results"
+    return Report(name, summary_in_words(told), told, lambda: made, failure)
 
 
 def _axes(work: Sweep) -> list[Json]:
@@ -214,8 +205,8 @@ def rehearse(work: Sweep, places: Places | None) -> Json:
 
 
 def summary_in_words(summary: Json) -> str:
-    """The summary of `run_sweep` for the terminal."""
-    total, before, paths = summary["solves"], summary["solves_there_before"], summary["paths"]
+    """The summary of a sweep for the terminal."""
+    total, before = summary["solves"], summary["solves_there_before"]
     counts = ", ".join(f"{count:,} {name.replace('_', ' ')}" for name, count in summary["results"].items())
     some = f", {before:,} there already, {total - before:,} more" if before else ""
     how = f"{some} in {summary['seconds']:.3g} s" if before < total else ", all there already"
@@ -223,11 +214,10 @@ def summary_in_words(summary: Json) -> str:
     failed = [name for name in summary["results"] if name != "successful"]
     lines += [f"{name.replace('_', ' ')}: {words_of(Status[name])}" for name in failed]
     lines += _ranges(summary["outputs"])
-    lines += [f"no figure: {paths['no_figure']}"] if paths.get("no_figure") else []
-    if along := ", ".join(paths.get("only_in_store", ())):
+    lines += [f"no figure: {summary['no_figure']}"] if summary["no_figure"] else []
+    if along := ", ".join(summary["only_in_store"]):
         lines.append(f"in no figure or table, as they run along the body: {along}")
-    written = [paths["store"], *paths.get("figures", ()), *(paths.get(kind) for kind in ("json", "netcdf", "csv"))]
-    return "\n".join([*lines, f"written: {', '.join(path for path in written if path)}"])
+    return "\n".join(lines)
 
 
 def rehearsal_in_words(expected: Json) -> str:
