@@ -1,7 +1,6 @@
 """The command `cddf` as a whole: help, usage, exit codes, and every failure in one line that names what to do."""
 
 import json
-import os
 import re
 import subprocess
 import sys
@@ -18,15 +17,6 @@ PAPER, LOAD_CELLS, PULLEY = (
 PULL = ("-t", "75 N")
 PROGRESS = r"(\d+ s: .+\n)*"  # on a slow machine
 COMMANDS = ("solve", "trace", "sweep", "fit", "design", "plan", "reproduce", "explore", "cache")
-
-
-def separate_process(*arguments, **environment):
-    return subprocess.run(
-        [sys.executable, "-c", "from cddf_jax.cli.app import main; main()", *map(str, arguments)],
-        env=os.environ | environment,
-        capture_output=True,
-        text=True,
-    )
 
 
 @pytest.mark.parametrize("arguments", [(), *((command,) for command in COMMANDS)])
@@ -46,10 +36,9 @@ def test_help_shows_units_in_brackets(cddf_command):
     assert "[over]" in cddf_command("sweep", "--help")[1]
 
 
-@pytest.mark.parametrize("command", ["solve", "sweep"])
-def test_help_imports_nothing_heavy(command):
+def test_help_imports_nothing_heavy():
     script = (
-        f"import sys; sys.argv = ['cddf', '{command}', '--help']\n"
+        "import sys; sys.argv = ['cddf', 'sweep', '--help']\n"
         "from cddf_jax.cli.app import main\n"
         "try: main()\n"
         "except SystemExit as ended: assert ended.code == 0\n"
@@ -62,17 +51,9 @@ def test_help_imports_nothing_heavy(command):
 
 
 @pytest.mark.slow
-def test_a_process_of_its_own(tmp_path):
-    """As a shell runs it: settings, cache and all."""
-    done = separate_process("solve", PAPER, "-t", "75 N", "--json", XDG_CACHE_HOME=str(tmp_path))
-    assert done.returncode == 0
-    assert re.fullmatch(PROGRESS, done.stderr)
-    assert json.loads(done.stdout)["tip_tension"] == pytest.approx([45.122927013148], rel=1e-8)  # in double precision
-
-
-@pytest.mark.slow
 def test_an_error_in_a_process_of_its_own(tmp_path):
-    done = separate_process("fit", PAPER, tmp_path / "none.csv", XDG_CACHE_HOME=str(tmp_path))
+    program = [sys.executable, "-c", "from cddf_jax.cli.app import main; main()"]
+    done = subprocess.run([*program, "fit", PAPER, tmp_path / "none.csv"], capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (2, "")
     error = f"error: {tmp_path / 'none.csv'}: cannot be read (No such file or directory); check the path\n"
     assert re.fullmatch(PROGRESS + re.escape(error), done.stderr)
@@ -83,17 +64,10 @@ def test_an_error_in_a_process_of_its_own(tmp_path):
     [
         ((), "Missing command. Try --help."),
         (("bend",), "No such command 'bend'"),
-        (("--bogus",), "No such option: --bogus"),
-        (("solve",), "Missing argument 'robot'"),
         (("fit", PAPER), "Missing argument 'data'"),
-        (("reproduce", PAPER), "Missing argument 'load_cells'"),
         (("solve", PAPER), "Missing option '--base-tension' / '-t'"),
         (("solve", PAPER, *PULL, "--bogus"), "No such option: --bogus"),
-        (("solve", PAPER, *PULL, "more"), "Got unexpected extra argument(s) (more)"),
-        (("solve", PAPER, "-t"), "Option '-t' requires an argument"),
         (("solve", PAPER, *PULL, "--nodes", "3"), "Invalid value for '--nodes'"),
-        (("fit", PAPER, PULLEY, "--nodes", "two"), "Invalid value for '--nodes'"),
-        (("solve", PAPER, *PULL, "--direction", "in"), "Invalid value for '--direction'"),
         (("solve", PAPER, *PULL, "--kinematics", "other"), "Invalid value for '--kinematics'"),
     ],
 )
@@ -110,11 +84,10 @@ def test_wrong_usage(fails, arguments, message):
         (("youngs_modulus", "young_modulus"), "unknown key 'young_modulus'; did you mean youngs_modulus?"),
     ],
 )
-@pytest.mark.parametrize("command", [("solve", *PULL), ("fit", PULLEY)])
-def test_wrong_manipulators(fails, command, change, message):
+def test_wrong_manipulators(fails, change, message):
     text = Path(PAPER).read_text()
     assert change[0] in text
-    said = fails(command[0], "robot.toml", *command[1:], files={"robot.toml": text.replace(*change)})
+    said = fails("solve", "robot.toml", *PULL, files={"robot.toml": text.replace(*change)})
     assert said.startswith(f"robot.toml: {message}")
 
 
@@ -122,10 +95,8 @@ def test_wrong_manipulators(fails, command, change, message):
     ("arguments", "message"),
     [
         (("solve", PAPER, "-t", "75"), "--base-tension needs a unit of force, got '75'; write for example '12.5 N'"),
-        (("solve", PAPER, *PULL, "--direction", "2"), "--direction 2: give +1 for a tendon that slides in"),
         (("solve", PAPER, *PULL, "--gravity", "0, -9.81 m/s^2"), f"{PAPER}: loads.gravity: the body has no weight"),
         (("fit", PAPER, PULLEY, "--prior", "youngs_modulus=1.4 MPa +- 0 MPa"), "prior for youngs_modulus: needs a me"),
-        (("fit", PAPER, PULLEY, "--bound", "friction_coefficient=0.6:0.7"), "friction_coefficient starts at 0.42, "),
         (("fit", PAPER, PULLEY, "--prior", "length=140 mm +- 1 mm"), "prior for 'length', which is not fitted"),
         (("fit", PAPER, PULLEY, "--noise", "tip_angle=1 deg"), "fit: noise is given for 'tip_angle', which no table"),
         (("fit", PAPER, PULLEY, "--noise", "pulling_tension=0 N"), "sigma of pulley_simulated.csv: pulling_tension mu"),
@@ -143,7 +114,6 @@ def test_files_that_are_not_there(fails):
     remedy = "cannot be read (No such file or directory); check the path"
     assert fails("solve", "none.toml", *PULL) == f"none.toml: {remedy}"
     assert fails("fit", PAPER, PULLEY, "none.csv") == f"none.csv: {remedy}"
-    assert fails("reproduce", PAPER, "none.csv") == f"none.csv: {remedy}"
     assert fails("fit", PAPER, ".").startswith(".: cannot be read (Is a directory)")
 
 
@@ -202,6 +172,7 @@ def test_a_full_disk_is_found_before_the_work(fails, monkeypatch):
 def test_a_disk_that_fills_up_leaves_the_answer_on_standard_output(cddf_command, monkeypatch, tmp_path):
     """The answer is that without `--out`; one line says what was not written, and no half of it stays."""
     _, answer, _ = cddf_command("solve", PAPER, *PULL, "--json")
+    monkeypatch.setattr("cddf_jax.figures.render", lambda *_: {})
     monkeypatch.setattr(Path, "write_bytes", full)  # after the trial
     out = tmp_path / "new" / "below"
     code, text, error = cddf_command("solve", PAPER, *PULL, "--json", "--out", out)
@@ -210,20 +181,12 @@ def test_a_disk_that_fills_up_leaves_the_answer_on_standard_output(cddf_command,
     assert not any(tmp_path.iterdir())
 
 
-def test_an_interruption_is_said(fails, monkeypatch):
-    def interrupted(path):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("cddf_jax.files.manipulator_file.read_robot_file", interrupted)
-    assert fails("solve", PAPER, *PULL, "--out", "new/below", code=130) == "interrupted; nothing was written"
-
-
 def test_ctrl_c_is_one_line(fails, monkeypatch):
     def interrupted(path):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("cddf_jax.files.manipulator_file.read_robot_file", interrupted)
-    assert fails("solve", PAPER, *PULL, code=130) == "interrupted; nothing was written"
+    assert fails("solve", PAPER, *PULL, "--out", "new/below", code=130) == "interrupted; nothing was written"
 
 
 def test_a_bug_of_ours_is_not_hidden(monkeypatch):

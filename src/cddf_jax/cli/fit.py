@@ -12,13 +12,6 @@ PriorOption = Annotated[
     list[str] | None,
     typer.Option(help='A Gaussian prior such as "youngs_modulus=1.4 MPa +- 0.1 MPa".'),
 ]
-BoundOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        help='Lowest and highest value of a parameter, such as "pretension=0 N:2 N". Either may be left out.',
-        show_default="above 0 or none",
-    ),
-]
 NoiseOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -43,7 +36,6 @@ def fit(
     column: options.Column = None,
     free: options.Free = None,
     prior: PriorOption = None,
-    bound: BoundOption = None,
     noise: NoiseOption = None,
     tip_force: options.TipForce = None,
     tip_moment: options.TipMoment = None,
@@ -69,14 +61,13 @@ def fit(
         from ..estimation.whole_search import INTERRUPTED
         from ..identification.fit import fit
         from ..reports.fit_report import fit_report, make_report
-        from .fit_options import read_before, read_bounds, read_leave_out, read_noise, read_priors, read_setting
+        from .fit_options import read_before, read_leave_out, read_noise, read_priors, read_setting
 
     found = fit(
         read.manipulator,
         options.read_data(data, column, holds_averaged=average_holds),
         free or None,
         read_priors(prior),
-        bounds=read_bounds(bound),
         noise=read_noise(noise),
         setting=read_setting(options.loads_of(read, tip_force, tip_moment, gravity, point_load), marker, given),
         history="each" if each_from_rest else history,

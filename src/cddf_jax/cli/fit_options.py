@@ -15,7 +15,6 @@ from ..units import quantity, vector
 from .options import read_all
 
 PRIOR = '"youngs_modulus=1.4 MPa +- 0.1 MPa"'
-BOUND = '"pretension=0 N:2 N"'
 GIVEN = '"tip_gain=1.03" or "camera_turn_z=3 deg"'
 LEAVE_OUT = '"run_2.csv=8, 14"'
 MARKER = '"head=0, 11, 0 mm at 80 mm"'
@@ -32,19 +31,6 @@ def _prior(name: str, text: str) -> Prior:
     if not found:
         raise InputError(f"--prior {name}: write for example {PRIOR}, got {text!r}")
     return Prior(*(_of_parameter(name, part, "--prior") for part in (first, second)))
-
-
-def read_bounds(texts: Sequence[str] | None) -> dict[str, tuple[float | None, float | None]]:
-    """ "pretension=0 N:2 N"; either side may be left empty."""
-    return read_all(texts, "--bound", BOUND, _bound)
-
-
-def _bound(name: str, text: str) -> tuple[float | None, float | None]:
-    low, colon, high = (part.strip() for part in text.partition(":"))
-    if not colon or not (low or high):
-        raise InputError(f"--bound {name}: write for example {BOUND}, got {text!r}")
-    lower, upper = (_of_parameter(name, end, "--bound") if end else None for end in (low, high))
-    return lower, upper
 
 
 def _of_parameter(name: str, text: str, option: str) -> float:
