@@ -3,7 +3,6 @@
 import dataclasses
 import json
 import re
-from io import BytesIO
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -16,10 +15,7 @@ from scipy import stats
 
 import cddf_jax as cddf
 from cddf_jax.estimation.observations import Noise
-from cddf_jax.figures import (
-    fit as fit_figures,
-    style as plotting,
-)
+from cddf_jax.figures import fit as fit_figures
 from cddf_jax.files import writing
 from cddf_jax.identification.bench import Bench, experiment_of
 from cddf_jax.measurements.table import Measurements
@@ -122,6 +118,7 @@ def test_identified_parameters_carry_units(paper_route):
     low, high = (float(limit) for limit in interval.removesuffix(" MPa").split(" to "))
     assert low < 1.4 < high  # data/README.md: the truth
     assert row_of(markdown, "friction_coefficient")[3] == "identified"
+    assert "## Without a model of the body" not in markdown  # the kinematics are the published ones
 
 
 def test_each_table_alone_is_reported(paper_route):
@@ -157,18 +154,9 @@ def test_warnings_have_their_section(paper):
 # --- the dictionary ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["tensions_only", "paper_route", "with_prior"])
-def test_json_has_no_infinities(name, request):
-    text = writing.as_json(results_of(request.getfixturevalue(name)))
-
-    def refuse(constant):
-        raise AssertionError(constant)
-
-    json.loads(text, parse_constant=refuse)
-
-
 def test_what_is_infinite_is_null(tensions_only):
-    answer = json.loads(writing.as_json(results_of(tensions_only)))
+    text = writing.as_json(results_of(tensions_only))
+    answer = json.loads(text, parse_constant=lambda constant: pytest.fail(constant))
     assert answer["standard_error"] == dict.fromkeys(BOTH)
     assert answer["confidence_interval"] == {name: [0.0, None] for name in BOTH}
     assert answer["condition_number"] is None
@@ -230,7 +218,7 @@ def test_the_figure_of_a_single_level(paper):
     table = Measurements.from_columns("drum", weight=[5.0] * 3, wrap_angle=[1.0] * 3, pulling_tension=[7.9, 8.0, 8.1])
     fit = cddf.fit(paper, table)
     (figure,) = fit_figures.table_figures(fit).values()
-    assert imread(BytesIO(plotting.render(figure, "drum")["drum.png"])).size > 0
+    figure.draw_without_rendering()
 
 
 @pytest.mark.slow
@@ -273,23 +261,6 @@ def test_two_tendons_are_drawn_over_their_predictions():
     (bars,) = (item for item in axes.containers if item.get_label() == "95 % interval of the model")
     reach = [np.ptp(segment[:, 0]) / 2 for segment in bars[2][0].get_segments()]
     np.testing.assert_allclose(reach, fit.band(predicted.derivatives["tip_tension_2"]), rtol=1e-9)
-
-
-def test_a_failed_fit_still_has_a_report():
-    """A tendon that slides out at 200 N locks (mu T G / E = 1.8 > 1): the model gives no number at the start."""
-    table = Measurements.from_columns(
-        "bench", base_tension=np.full(17, 200.0), tip_tension=np.linspace(300, 310, 17), direction=-np.ones(17)
-    )
-    fit = cddf.fit(paper_body(), table, starts=1)
-    assert not fit.success
-    assert words_of(fit).splitlines()[2].startswith("- The fit failed: ")
-    json.dumps(writing.plain(results_of(fit)), allow_nan=False)
-    made = report.make_report(fit)
-    assert report.report_figures(made) == {}
-    said = report.fit_as_markdown(made, [])
-    rows = "- No figure of bench: the model gave no numbers for tip_tension in 17 of 17 rows."
-    assert rows in said
-    assert "- No figure of profiles: the fit failed: " in said
 
 
 # --- residuals, profiles, correlation, bootstraps --------------------------------------------------
@@ -385,13 +356,6 @@ def test_the_bootstrap_in_the_report(drum_report):
     assert told == [bootstrap.coverage for bootstrap in drum_report.bootstraps]
 
 
-def test_figures_are_not_empty(drum_report):
-    figures = report.report_figures(drum_report)
-    assert list(figures) == ["fit_pulley_simulated", "residuals", "profiles"]
-    for name, figure in figures.items():
-        assert np.ptp(imread(BytesIO(plotting.render(figure, name)[f"{name}.png"]))) > 0.5
-
-
 # --- what a fit hangs on, and how to repeat it ------------------------------------------------------
 
 
@@ -402,15 +366,6 @@ def test_the_first_lines_name_a_bound(paper, pulley):
     head = words_of(fit).partition("| parameter")[0]
     assert "- friction_coefficient = 0.3: at bound" in head
     assert "- friction_coefficient ended on its bound 0.3" in head
-
-
-def test_the_first_lines_name_what_did_not_move(paper, pulley):
-    """A pulley knows nothing of the body."""
-    fit = cddf.fit(paper, pulley)
-    head = words_of(fit).partition("| parameter")[0]
-    assert "- youngs_modulus: not identified" in head
-    assert "- youngs_modulus did not move: no datum depends on it" in head
-    assert words_of(fit).count("did not move") == 1
 
 
 def test_the_first_lines_name_the_one_point(paper):
@@ -424,20 +379,6 @@ def test_the_first_lines_name_the_one_point(paper):
     assert "- friction_coefficient depends on one datum, row 6 of drum: pulling_tension" in head
 
 
-def test_model_free_friction_is_set_beside_the_fit():
-    """Made by the capstan law with mu = 0.42: exact, so that fit and law agree; not said of published kinematics."""
-    angle, base = np.radians([10.0, 20.0, 30.0, 40.0]), np.array([9.0, 20.0, 31.0, 44.0])
-    scatter = 1 + 1e-3 * np.array([1, -1, -1, 1])
-    table = Measurements.from_columns(
-        "bench", base_tension=base, tip_tension=base * np.exp(-0.42 * angle) * scatter, tip_angle=angle
-    )
-    exact = cddf.fit(paper_body("exact"), table)
-    published = dataclasses.replace(exact, manipulator=paper_body("published"))
-    for fit, said in ((exact, True), (published, False)):
-        assert ("## Without a model of the body\n\n- bench: friction_coefficient = 0.4" in words_of(fit)) == said
-        assert bool(results_of(fit)["model_free_friction"]) == said
-
-
 def test_the_files_of_a_report(drum, drum_report, tmp_path):
     cddf.write_fit(drum, tmp_path, bootstraps=drum_report.bootstraps)
     written = {path.name for path in tmp_path.iterdir()}
@@ -445,6 +386,7 @@ def test_the_files_of_a_report(drum, drum_report, tmp_path):
     assert written == {"report.md", "results.json", *figures}
     named = re.findall(r"!\[.*\]\((.*)\)", (tmp_path / "report.md").read_text())
     assert set(named) == {name for name in figures if name.endswith("png")}
+    assert all(np.ptp(imread(tmp_path / name)) > 0.5 for name in named)  # something is drawn
 
 
 def test_a_fit_is_repeated_from_its_results(drum_report, drum, tmp_path):

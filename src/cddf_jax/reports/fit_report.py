@@ -1,6 +1,6 @@
 """A fit as people read it: report.md with its figures, and results.json beside it."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -29,14 +29,13 @@ from ..measurements.columns import column_dimension
 from ..measurements.table import Measurements
 from ..progress import each, stage
 from ..robot.manipulator import Manipulator
-from ..statics.solve import solve
 from ..units import preferred, shown
 from .report import Content, Report, versions
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from ..identification.model_free import ModelFreeFriction, ModelFreeLoop
+    from ..identification.model_free import ModelFreeFriction
 
 
 LEAST_ROWS = 3  # for friction without a model
@@ -53,10 +52,6 @@ OF_DETERMINATION = (
     *("rank", "condition_number", "sloppy_direction"),
 )
 OF_FRICTION = ("value", "standard_error", "confidence_interval", "verdict")
-OF_LOOP = (
-    *("gain", "gain_standard_error", "gain_interval", "loss", "loss_standard_error", "zero", "zero_p_value"),
-    "verdict",
-)
 OF_BOOTSTRAP = (
     *("kind", "seed", "num_failed", "num_cases", "coverage", "remark", "names", "standard_error"),
     *("confidence_interval", "bias", "correlation", "estimates"),
@@ -64,11 +59,18 @@ OF_BOOTSTRAP = (
 
 
 class WithoutModel(NamedTuple):
-    """A result from a table without a model of the body, and the fit beside it."""
+    """Friction from a table without a model of the body, and how far the fit lies from it."""
 
-    found: "ModelFreeFriction | ModelFreeLoop"
-    of_fit: dict[str, object]  # for JSON
-    said: str = ""  # in words
+    found: "ModelFreeFriction"
+    away: float | None  # standard errors; None where the fit does not tell the friction
+
+    @property
+    def said(self) -> str:
+        """In words."""
+        if self.away is None:
+            return ""
+        check = "; check kinematics, the offset of the tendon, and the zeros of the cells and the camera"
+        return f"the fit lies {abs(self.away):.1f} standard errors from it" + check * (abs(self.away) > LARGEST_AWAY)
 
 
 class FitResults(NamedTuple):
@@ -77,8 +79,7 @@ class FitResults(NamedTuple):
     fit: Fit
     profiles: dict[str, Profile]  # by fitted parameter; none of a fit that failed
     bootstraps: tuple[Bootstrap, ...]
-    model_free: dict[str, WithoutModel]  # friction, by table
-    loops: dict[str, WithoutModel]  # by table with a history
+    model_free: dict[str, WithoutModel]  # by table
 
 
 def make_report(fit: Fit, *, bootstraps: Sequence[Bootstrap] = (), with_profiles: bool = True) -> FitResults:
@@ -86,44 +87,26 @@ def make_report(fit: Fit, *, bootstraps: Sequence[Bootstrap] = (), with_profiles
     profiles = (
         {name: fit.profile(name) for name in each("profile", own_names(fit))} if fit.success and with_profiles else {}
     )
-    body, frictions, loops = fit.manipulator, {}, {}
-    for name, table, in_order in _from_rest(fit):
-        if body.kinematics == "exact" and body.num_tendons == 1 and not body.slanted and len(table) >= LEAST_ROWS:
-            with suppress(InputError):  # a column is missing, or no row is bent
-                frictions[name] = _friction_without_model(fit, table, in_order)
-        if in_order and fit.success and body.tendon_drag is None and not body.slanted and fit.setting.loads is None:
-            with suppress(InputError):  # a column is missing, or it was not released far enough
-                loops[name] = _loop_without_model(fit, table)
-    return FitResults(fit, profiles, tuple(bootstraps), frictions, loops)
+    return FitResults(fit, profiles, tuple(bootstraps), _without_model(fit))
 
 
-def _from_rest(fit: Fit) -> Iterator[tuple[str, Measurements, bool]]:
-    """The tables whose trials begin at rest, and whether their rows were followed in their order."""
-    for name, table, one in zip(fit.model.names, fit.tables, fit.model.experiments, strict=True):
-        bench = one if isinstance(one, Bench) else None
-        if bench is None or bench.course is None or bench.course.past is None:
-            yield name, table, bench is not None and bool(bench.in_order)
-
-
-def _friction_without_model(fit: Fit, table: Measurements, in_order: bool) -> WithoutModel:
+def _without_model(fit: Fit) -> dict[str, WithoutModel]:
+    """Friction without a model of the body from each table whose trials begin at rest, where it can be told."""
     from ..identification.model_free import model_free_friction
 
-    found, mu, away, said = model_free_friction(table, in_order=in_order), "friction_coefficient", None, ""
-    if mu in fit.names and np.isfinite(fit.standard_error[mu]):
-        error = float(np.hypot(found.standard_error, fit.standard_error[mu]))
-        away = (fit.value[mu] - found.value) / error if error > 0 else None
-    if away is not None:
-        check = "; check kinematics, the offset of the tendon, and the zeros of the cells and the camera"
-        said = f"the fit lies {abs(away):.1f} standard errors from it" + check * (abs(away) > LARGEST_AWAY)
-    return WithoutModel(found, {"standard_errors_away": away, "unit": "1"}, said)
-
-
-def _loop_without_model(fit: Fit, table: Measurements) -> WithoutModel:
-    from ..identification.model_free import model_free_loop
-
-    found, tension = model_free_loop(table), float(table["base_tension"].max())
-    loss = float(1 / solve(fit.manipulator, tension).tip_tension[0]) - 1 / tension
-    return WithoutModel(found, {"loss_of_fit": loss, "unit_of_loss": "1/N"}, f"the fit has {loss:.4g} 1/N")
+    body, mu, found = fit.manipulator, "friction_coefficient", {}
+    if body.kinematics != "exact" or body.num_tendons > 1 or body.slanted:
+        return {}
+    for name, table, one in zip(fit.model.names, fit.tables, fit.model.experiments, strict=True):
+        bench = one if isinstance(one, Bench) else None
+        at_rest = bench is None or bench.course is None or bench.course.past is None
+        if at_rest and len(table) >= LEAST_ROWS:
+            with suppress(InputError):  # a column is missing, or no row is bent
+                free = model_free_friction(table, in_order=bench is not None and bool(bench.in_order))
+                error = float(np.hypot(free.standard_error, fit.standard_error.get(mu, np.inf)))
+                away = (fit.value[mu] - free.value) / error if 0 < error < np.inf else None
+                found[name] = WithoutModel(free, away)
+    return found
 
 
 # --- results.json --------------------------------------------------------------------------------
@@ -141,18 +124,16 @@ def fit_as_dict(results: FitResults) -> dict[str, object]:
         "cost_from_each_start": fit.starts,
         "profiles": results.profiles,
         "bootstraps": [picked(bootstrap, OF_BOOTSTRAP) for bootstrap in results.bootstraps],
-        "model_free_friction": _without_model(results.model_free, OF_FRICTION),
-        "model_free_loop": _without_model(results.loops, OF_LOOP),
+        "model_free_friction": {
+            name: picked(one.found, OF_FRICTION) | {"standard_errors_away": one.away, "unit": "1"}
+            for name, one in results.model_free.items()
+        },
         "data": [_table_as_dict(table) for table in fit.tables],
         "manipulator": _as_toml(fit.model.manipulator),
         "kinematics": fit.manipulator.kinematics,
         "options": fit.options,
         "versions": versions(),
     }
-
-
-def _without_model(results: Mapping[str, WithoutModel], names: Sequence[str]) -> dict[str, dict[str, object]]:
-    return {table: picked(one.found, names) | one.of_fit for table, one in results.items()}
 
 
 def _table_as_dict(table: Measurements) -> dict[str, object]:
@@ -415,7 +396,7 @@ def _noise(fit: Fit) -> list[str]:
 
 
 def _model_free_in_words(results: FitResults) -> list[str]:
-    every = [*results.model_free.items(), *results.loops.items()]
+    every = results.model_free.items()
     return [f"{name}: {line}" for name, one in every for line in (*one.found.verdict, one.said) if line]
 
 
