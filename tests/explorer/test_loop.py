@@ -1,7 +1,5 @@
 """The loops that the explorer draws, against docs/hysteresis.md and `trace` along the whole path."""
 
-from dataclasses import replace
-
 import jax
 import numpy as np
 import pytest
@@ -11,7 +9,6 @@ from moves import FIRST, MODULUS, loop_after
 import cddf_jax as cddf
 from cddf_jax.explorer.model import Exploration
 from cddf_jax.explorer.plots import BodyPlot, TensionPlots
-from cddf_jax.explorer.space import SpacePlot
 from cddf_jax.explorer.words import loop_html
 
 COMPILED = []  # what was traced or compiled in this process
@@ -51,6 +48,8 @@ def test_the_path_is_that_of_a_trace(one):
         COMPILED.clear()
         body, found = loop_after(one, *moves, *more)
         assert COMPILED == []
+        if FIRST in (more[0] if more else ()):
+            continue  # a path of another length, for which `trace` would be compiled again
         whole = cddf.trace(body, found.base_tension)
         np.testing.assert_allclose(found.tip_tension, whole.tip_tension, rtol=1e-9)
         np.testing.assert_allclose(found.tip_angle, whole.tip_angle, rtol=1e-9)
@@ -73,20 +72,6 @@ def test_the_loop_is_drawn_and_taken_away(found, one):
     assert [fig.select_one({"name": "past"}).visible for fig in figures] == [False] * 3
 
 
-@pytest.mark.slow
-def test_one_tendon_in_space_is_remembered(one):
-    """A tendon at 0 degrees bends the body as it does in the plane: docs/hysteresis.md, 60 N."""
-    explored = Exploration(replace(one.manipulator, tendons=(cddf.Tendon(0.010, angle=0.0),)))
-    _, found = loop_after(explored, {FIRST: 60.0})
-    assert found.tip_tension[-1] == pytest.approx(45.122927, abs=6e-7)
-    assert np.degrees(found.tip_angle[-1]) == pytest.approx(67.619267, abs=6e-7)
-    plot = SpacePlot(explored.manipulator)
-    plot.show(explored.picture(explored.case(explored.start)))
-    for loop in (found, None):
-        plot.show_loop(loop)
-        assert ("past" in plot.space.data["kind"]) == (loop is not None)
-
-
 def test_a_loop_that_cannot_be_relied_on_says_so(found):
     doubtful = loop_html(found._replace(status=np.asarray(cddf.Status.inaccurate)))
     assert doubtful.startswith("<p>The error estimate exceeds 1e-5")
@@ -94,16 +79,3 @@ def test_a_loop_that_cannot_be_relied_on_says_so(found):
     lost = found._replace(status=np.asarray(cddf.Status.crossing))
     assert not lost.shown
     assert loop_html(lost).startswith("<p>There is no answer with this past: ")
-
-
-def test_figures_follow_the_tension_that_moves():
-    """The angle is drawn over the tension of the tendon that moved last."""
-    columns = {"base_tension": [20.0, 40.0], "base_tension_2": [5.0, 10.0], "tip_angle": [0.1, 0.2]}
-    table = cddf.Measurements.from_columns("pair", **columns)
-    plots = TensionPlots(2)
-    plots.show_points("data", [(table, table.columns)])
-    plots.follow(1)
-    np.testing.assert_array_equal(plots.points["angle"]["data"].data["base"], [5.0, 10.0])
-    assert plots.figures["angle"].xaxis.axis_label == "Base tension of tendon 2 (N)"
-    plots.follow(0)
-    np.testing.assert_array_equal(plots.points["angle"]["data"].data["base"], [20.0, 40.0])

@@ -3,7 +3,9 @@
 import gc
 import socket
 import sys
+from types import SimpleNamespace
 
+import equinox as eqx
 import numpy as np
 import pytest
 from bodies import PAPER, paper_body, paper_plain, straight
@@ -16,7 +18,7 @@ from cddf_jax.explorer.plots import TensionPlots
 from cddf_jax.explorer.words import numbers_html
 from cddf_jax.quantities import QUANTITIES
 from cddf_jax.reports.export import fields_csv
-from cddf_jax.robot.profiles import Constant, Linear, Piecewise, Spline
+from cddf_jax.robot.profiles import Linear, Piecewise, Spline
 from cddf_jax.robot.reshape import tapered
 
 CELLS = DATA / "load_cells_simulated.csv"
@@ -133,24 +135,27 @@ def test_data_of_two_tendons_lie_over_their_own_tensions():
         np.testing.assert_array_equal(tension[kind].data["value"], np.array([16.0, 30.0, 6.0, 12.0]) + more)
         assert len(set(tension[kind].data["color"])) == 2
         np.testing.assert_allclose(angle[kind].data["value"], np.degrees([0.1 + more, 0.2 + more]))
+    plots.follow(1)  # the angle is drawn over the tension of the tendon that moved last
+    np.testing.assert_array_equal(angle["data"].data["base"], [5.0, 10.0])
+    assert plots.figures["angle"].xaxis.axis_label == "Base tension of tendon 2 (N)"
     plots.show_points("data", [])
     assert [fig.select_one({"name": "data"}).visible for fig in plots.figures.values()] == [False, False]
 
 
 PROFILES = {
-    "constant": Constant(0.016),
-    "linear": Linear(0.020, 0.013, 0.14),
     "longer": Linear(0.020, 0.012, 0.16),
     "pieces": Piecewise([0.05], [0.018, Linear(0.020, 0.013, 0.14)]),
     "spline": Spline([0.0, 0.04, 0.09, 0.14], [0.020, 0.018, 0.013, 0.012]),
-    "lines": Piecewise.linear([0.0, 0.04, 0.14], [0.020, 0.018, 0.012]),
 }
+
+
+values_at = eqx.filter_jit(lambda profile, s: profile(s))
 
 
 @pytest.mark.parametrize("name", PROFILES)
 def test_a_taper_adds_a_straight_line(name):
     profile, s = PROFILES[name], np.linspace(0.0, 0.14, 29)
-    before, after = np.asarray(profile(s)), np.asarray(tapered(profile, 0.022, 0.011, 0.14)(s))
+    before, after = (np.asarray(values_at(one, s)) for one in (profile, tapered(profile, 0.022, 0.011, 0.14)))
     line = np.interp(s, [0.0, 0.14], [0.022 - before[0], 0.011 - before[-1]])
     np.testing.assert_allclose(after, before + line, atol=1e-16)
 
@@ -196,21 +201,29 @@ def test_a_table_of_another_body_is_refused():
 
 
 @pytest.mark.filterwarnings("ignore:.* will be removed in version 2.0:PendingDeprecationWarning")
-def test_what_is_computed_at_once_keeps_its_mark(monkeypatch):
-    """As where a file is loaded, and the page is there already."""
+def test_only_what_the_data_identify_is_taken_over(monkeypatch):
+    """Tensions of one tendon hold mu / E alone; the numbers are made up."""
     pn = pytest.importorskip("panel")
     from bokeh.document import Document
     from panel.io.state import set_curdoc
 
-    from cddf_jax.explorer.server import Page, PageContent
-    from cddf_jax.explorer.view import Threads
+    from cddf_jax.explorer.view import ExplorerView, Threads
 
+    names, value = ("friction_coefficient", "youngs_modulus"), {"friction_coefficient": 0.5012, "youngs_modulus": 2e6}
+    intervals = {"friction_coefficient": (0.4812, 0.5212), "youngs_modulus": (0.0, np.inf)}
+    monkeypatch.setattr(type(pn.state), "onload", lambda *_: None)
     with set_curdoc(Document()), Threads() as idle:
-        monkeypatch.setattr(idle.pictures, "submit", lambda *_: None)
-        monkeypatch.setattr(type(pn.state), "onload", lambda _, callback: callback())
-        page = Page(PageContent(Exploration(paper_body("exact")), "", idle))
-    marked = {part.css_classes[-1] for part in page.place if part.styles.get("--computing") == "on"}
-    assert marked == {"body", "numbers", "tension", "along"}
+        view = ExplorerView(Exploration(paper_body("exact")), print, idle)
+    monkeypatch.setattr(view, "change", lambda: None)
+    for known, offered in (("identified", True), ("not identified", False)):
+        status = {"friction_coefficient": known, "youngs_modulus": "not identified"}
+        told = {"names": names, "value": value, "confidence_interval": intervals, "status": status}
+        view._show_fit(SimpleNamespace(success=True, **told), "")
+        assert view.take_over.visible == offered
+        if offered:
+            view._take_over()
+    assert view.sliders["friction_coefficient"].value == 0.501  # two digits of the half-width of 0.02
+    assert view.sliders["youngs_modulus"].value == 1.4
 
 
 def test_files_hold_what_is_shown(explored, picture, tmp_path):

@@ -1,6 +1,8 @@
 """The explorer's model and rows of bodies in space, against docs/space.md and what is plain geometry."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -156,22 +158,10 @@ def test_a_force_out_of_the_plane_is_that_of_the_table():
     np.testing.assert_allclose(1e3 * picture.equilibrium.tip_position, expected, atol=1e-6)
 
 
-@pytest.mark.slow
-def test_the_curve_of_a_helix_is_that_of_the_table():
-    """docs/space.md, helix of half a turn at 75 N."""
-    explored = Exploration(cddf.read_manipulator(DATA / "helix_made_up.toml"))
-    curve = explored.curve(explored.case(explored.start))
-    at = np.flatnonzero(curve.base_tension == 75.0)
-    np.testing.assert_allclose(curve.tip_tension[at], [54.52936051], atol=6e-9)
-
-
 def test_an_order_that_is_not_drawn_is_said(three):
     tension = {f"base_tension{end}": [10.0, 20.0, 10.0] for end in ("", "_2", "_3")}
     table = Measurements.from_columns("loop", **tension, tip_angle=[0.1, 0.2, 0.15], step=[1, 2, 3])
-    explored = replace(three, tables=(table,))
-    ((drawn, _),) = explored.in_rows(explored.manipulator)
-    assert drawn is table
-    (note,) = explored.notes
+    (note,) = replace(three, tables=(table,)).notes
     assert note == "loop: each row is drawn as an equilibrium of its own; a fit follows the order of the rows"
 
 
@@ -184,6 +174,17 @@ def test_rows_hold_the_straight_body_and_its_tendons(three):
     assert [row.text for row in of(rows, "name")] == ["1", "2", "3"]
     looks = {(row.color, row.dash) for row in of(rows, "tendon")}
     assert len({color for color, _ in looks}) == len({dash for _, dash in looks}) == 3
+
+
+def test_the_axis_with_its_past_is_sent_and_taken_away(three):
+    plot, axis = SpacePlot(three.manipulator), np.linspace([0.0, 0.0, 0.0], [0.2, 0.0, 0.0], 5)
+    plot.now = body_rows(straight(three.manipulator))
+    loop: Any = SimpleNamespace(position=axis)
+    plot.show_loop(loop)
+    sent = dict(zip(plot.space.data["kind"], plot.space.data["points"], strict=True))
+    np.testing.assert_allclose(sent["past"][-3:], [200.0, 0.0, 0.0])
+    plot.show_loop(None)
+    assert "past" not in plot.space.data["kind"]
 
 
 def test_a_step_of_the_body_has_a_ring_on_both_sides(three):

@@ -78,6 +78,7 @@ def test_where_there_is_no_loop_the_reason_is_said(one, pair):
     assert said == f"More than {NUM_LEGS} turns are remembered at once; forget the past to go on."
 
 
+@pytest.mark.slow
 def test_rows_of_a_measured_loop_know_their_past():
     """docs/hysteresis.md: tip tensions on the way back to the digits of the table."""
     base, tip = [75.0, 60.0, 40.0, 20.0], [45.122927, 45.122927, 45.122927, 24.288558]

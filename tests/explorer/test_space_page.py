@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from pages import COMPUTING, hosts_of, opened_page, served, wait_for
+from pages import COMPUTING, opened_page, served, wait_for
 from places import DATA
 
 import cddf_jax as cddf
@@ -138,12 +138,6 @@ def test_what_the_body_hides_is_pale(page):
     page.locator(COMPUTING).first.wait_for(state="detached")
 
 
-def test_loads_have_sliders_for_three_components(page):
-    for axis in "XYZ":
-        for label in (f"Tip force {axis} (N)", f"Tip moment {axis} (N m)", f"Gravity {axis} (m/s^2)"):
-            assert page.get_by_role("textbox", name=label, exact=True).input_value() == "0"
-
-
 def test_the_axis_names_the_tendon_that_moved(page):
     label = "() => Bokeh.documents[0].get_model_by_name('tip_angle').below[0].axis_label"
     for place, other in ((0, 31.0), (1, 11.0)):
@@ -151,11 +145,6 @@ def test_the_axis_names_the_tendon_that_moved(page):
             type_number(page, place, f"{tension:g}")
             wait_for(page, f"base_tension_{place + 1}", f"{tension:g}")
         assert page.evaluate(label) == f"Base tension of tendon {place + 1} (N)"
-
-
-def test_the_past_is_not_remembered(page):
-    page.get_by_text("The past is remembered for one tendon.").wait_for()
-    assert page.get_by_role("button", name="Forget the past").count() == 0
 
 
 def test_the_turned_body_is_to_scale(page):
@@ -170,16 +159,3 @@ def test_the_turned_body_is_to_scale(page):
             name,
         )
         assert x == pytest.approx(y, rel=0.01)
-
-
-def test_a_narrow_page_is_one_column(page):
-    page.set_viewport_size({"width": 420, "height": 900})
-    page.wait_for_timeout(500)
-    assert page.evaluate("document.documentElement.scrollWidth") <= 420
-    page.set_viewport_size({"width": 1440, "height": 900})
-
-
-def test_nothing_is_asked_of_the_network(opened):
-    _, asked, wrong = opened
-    assert hosts_of(asked) == {"localhost"}
-    assert wrong == []

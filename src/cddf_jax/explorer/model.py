@@ -101,7 +101,8 @@ class Taper(NamedTuple):
 class Exploration:
     """A manipulator, the tables measured on it, and the results for the settings of the controls.
 
-    `gravity` is that of the robot's file, m/s^2. The tables were measured under it.
+    `gravity` is that of the robot's file, m/s^2. The tables were measured under it. `offsets_outside_wall` says whether
+    tendons may run in the bore or outside the body, as in the file.
 
     Raises:
         InputError: for a table that does not fit the manipulator, or a gravity that does not.
@@ -110,6 +111,7 @@ class Exploration:
     manipulator: Manipulator
     tables: tuple[Measurements, ...] = ()
     gravity: tuple[float, ...] | None = None
+    offsets_outside_wall: bool = False
 
     def __post_init__(self):
         with within("gravity of the robot file"):
@@ -139,16 +141,6 @@ class Exploration:
         numbers = {control.name: control.value for control in self.controls}
         count = self.manipulator.num_tendons
         return Settings(numbers, (1,) if count == 1 else (None,) * count, self.manipulator.kinematics)
-
-    @cached_property
-    def offsets_outside_wall(self) -> bool:
-        """Whether the manipulator itself has tendons in the bore or outside the body."""
-        try:
-            self.manipulator.validate()
-        except InputError:
-            self.manipulator.validate(offsets_outside_wall=True)
-            return True
-        return False
 
     def case(self, settings: Settings) -> Case:
         """The case to solve for the settings. Its structure is the same for all numbers, unless loads begin or end.
@@ -249,7 +241,7 @@ class Exploration:
             InputError: without a table, and as `identification.fit`.
         """
         if not self.tables:
-            raise InputError("there is nothing to fit; load a table of measurements first")
+            raise InputError("there is nothing to fit; give a table of measurements")
         from ..identification.fit import fit
 
         own = [control.name for control in self.controls if control.name in FITTED]

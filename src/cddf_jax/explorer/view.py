@@ -85,13 +85,9 @@ class ExplorerView:
         }
         self.drawn = {name: column(*part) for name, part in parts.items()}
         self.drawn["tension"] = column(grid(*map(plot, self.tension.figures.values()), least=330), self.drawn["past"])
-        self.closed = False
-        pn.state.on_session_destroyed(lambda _: self.close())
+        self.closed = False  # once the page is gone, nothing more is drawn
+        pn.state.on_session_destroyed(lambda _: setattr(self, "closed", True))
         pn.state.onload(self.change)
-
-    def close(self) -> None:
-        """Draw no more."""
-        self.closed = True
 
     # --- widgets ---------------------------------------------------------------------------------
 
