@@ -8,14 +8,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bodies import fields_at
 from matplotlib.figure import Figure
 from places import ROOT
 from refusals import refused
 
 import cddf_jax as cddf
-from cddf_jax.designing.task_file import KEYS, read_task
+from cddf_jax.designing.task_file import KEYS, DesignTask, read_task
 from cddf_jax.estimation.determination import IDENTIFIED
 from cddf_jax.figures.designs import design_figure, draw_design, draw_trade_off
+from cddf_jax.files.manipulator_file import read_robot_file
 from cddf_jax.reports.design_report import design_report
 
 PAPER = ROOT / "data" / "smooth_sil_940.toml"
@@ -63,16 +65,17 @@ def task(tmp_path):
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory):
-    """The design of `TASK`, called from Python."""
+    """The design of `TASK`."""
     path = tmp_path_factory.mktemp("task") / "task.toml"
     path.write_text(TASK)
     read = read_task(path)
     return read.design()
 
 
-def test_the_command_designs_as_the_call_does(run, task, tmp_path, found, cddf_command):
-    """The same body, its profile, and the report; what it wrote is a manipulator that `cddf solve` takes."""
+def test_the_command_writes_the_design(run, task, tmp_path, found, cddf_command, monkeypatch):
+    """The body, its profile, and the report; what it wrote is a manipulator that `cddf solve` takes."""
     out = tmp_path / "out"
+    monkeypatch.setattr(DesignTask, "design", lambda _: found)
     code, text, error = run(task(), "--json", "--out", out)
     assert (code, error) == (0, "")
     answer = json.loads(text)
@@ -98,6 +101,12 @@ def test_the_command_designs_as_the_call_does(run, task, tmp_path, found, cddf_c
     assert (out / "design.md").read_text() == f"{found}\n"
 
 
+def test_the_file_of_a_design_keeps_the_gravity_of_the_robot(task, found, tmp_path):
+    made = design_report(read_task(task())._replace(gravity=(0.0, -9.81)), found).files()["design.toml"]
+    (tmp_path / "design.toml").write_text(str(made))
+    assert read_robot_file(tmp_path / "design.toml").gravity == (0.0, -9.81)
+
+
 def test_the_report_says_what_changed_and_what_holds_it_back(found):
     lines = str(found).splitlines()
     assert lines[0] == "# Design: successful"
@@ -121,6 +130,7 @@ def test_what_cannot_be_made_is_said_with_what_is_in_the_way(run, task, tmp_path
     assert "in the way: tip_angle <= 0.0872665" in (out / "design.md").read_text()
 
 
+@pytest.mark.slow
 def test_a_trade_off(run, task, tmp_path):
     """Of volume and peak strain, no point is better than another in both."""
     both = TASK.replace('[[limit]]\nquantity = "strain"\nmost = 0.105\n', "") + '\n[[objective]]\nleast = "strain"\n'
@@ -134,9 +144,14 @@ def test_a_trade_off(run, task, tmp_path):
     assert np.all(np.diff(values[:, 1]) < 0)
     names = {path.name for path in out.iterdir()}
     assert names == {"pareto.md", "pareto.json", "pareto.pdf", "pareto.png", *(f"design_{i}.toml" for i in range(1, 5))}
-    designs = [SimpleNamespace(success=True)] * 4
-    told = {"names": answer["objectives"], "dimensions": ("volume", "dimensionless"), "values": values}
-    front: Any = SimpleNamespace(**told, start=answer["start"], designs=designs)
+
+
+def test_the_figure_of_a_trade_off():
+    """The numbers are made up."""
+    values = np.array([[5e-5, 0.12], [6e-5, 0.11], [7e-5, 0.105]])
+    designs = [SimpleNamespace(success=True)] * 3
+    told = {"names": ("least volume", "least strain"), "dimensions": ("volume", "dimensionless"), "values": values}
+    front: Any = SimpleNamespace(**told, start=(6e-5, 0.12), designs=designs)
     axes = draw_trade_off(front)
     given = Figure().subplots()
     assert draw_trade_off(front, given) is given
@@ -156,12 +171,12 @@ def test_the_figure_is_to_scale_and_shows_both_bodies(found):
     before, after = curvature.lines
     assert [line.get_label() for line in (before, after)] == ["before", "after"]
     kappa = np.interp(1e3 * s, *after.get_data())
-    np.testing.assert_allclose(kappa, found.equilibria[0].at(s).curvature, rtol=1e-3)
+    np.testing.assert_allclose(kappa, fields_at(found.equilibria[0], s).curvature, rtol=1e-3)
     assert max(strain.lines[1].get_ydata()) == pytest.approx(10.5, abs=1e-3)  # %, the limit of the task
     assert shape.get_xlabel() == "$X$ (mm)"
 
 
-@pytest.mark.parametrize(("radius", "offset"), [(2e-3, 6e-3), (0.4e-3, 5e-3), (15e-3, 10e-3)])
+@pytest.mark.parametrize(("radius", "offset"), [(0.4e-3, 5e-3), (15e-3, 10e-3)])
 def test_bodies_and_labels_of_the_figure_lie_apart(radius, offset):
     """Thin rods with a tendon outside, and a thick one: no text on another or on a line, straight bodies above all."""
 
@@ -286,18 +301,14 @@ def test_tendons_may_run_where_the_robot_has_them(task, tmp_path):
 REFUSED = {
     "an unknown key": (lambda t: "colour = 1\n" + t, "unknown key 'colour'"),
     "no robot": (lambda t: t.replace("robot =", "nodes_ ="), "unknown key 'nodes_'; did you mean nodes?"),
-    "a robot that is not there": (lambda t: t.replace("smooth_sil_940.toml", "none.toml"), "cannot be read"),
     "kinematics": (lambda t: t.replace('"exact"', '"other"'), "kinematics must be one of"),
     "no unit": (lambda t: t.replace('"8 mm"', '"8"'), "free outer_radius: bounds needs a unit of length"),
     "one bound": (lambda t: t.replace('["8 mm", "25 mm"]', '["8 mm"]'), "bounds must be two values"),
-    "bounds beside the start": (lambda t: t.replace('"25 mm"]', '"9 mm"]'), "starts at 0.02, outside its bounds"),
     "two forms": (lambda t: t.replace("taper = true", "taper = true, knots = 5"), "write knots = 9 for a spline or"),
-    "few knots": (lambda t: t.replace("taper = true", "knots = 3"), "knots must be 4 or more, got 3"),
     "a form of a number": (
         lambda t: t.replace("outer_radius =", "length ="),
         "only outer_radius, inner_radius, tendons.0.offset and",
     ),
-    "no such number": (lambda t: t.replace("outer_radius = { taper = true,", "colour = {"), "'colour' is not a number"),
     "a number instead of a table": (
         lambda t: t.replace('{ taper = true, bounds = ["8 mm", "25 mm"] }', "3"),
         'free outer_radius: write { bounds = ["8 mm", "25 mm"] }',
@@ -306,15 +317,12 @@ REFUSED = {
     "no case": (lambda t: t.replace("[[case]]", "[case]"), "write each below a line [[case]]"),
     "a push": (lambda t: t.replace('"50 N"', '"-50 N"'), "case 1: base_tension '-50 N': a tendon cannot push"),
     "two tensions": (lambda t: t.replace('"50 N"', '["50 N", "60 N"]'), "case 1: base_tension: 2 given"),
-    "a direction": (lambda t: t.replace('"50 N"', '"50 N"\ndirection = 2'), "direction 2: give +1 for a tendon"),
     "a weight": (lambda t: t.replace('"50 N"', '"50 N"\nweight = 0'), "weight must be above 0"),
-    "gravity without weight": (lambda t: t.replace('"50 N"', '"50 N"\ngravity = "0, -9.81 m/s^2"'), "density"),
     "two aims": (
         lambda t: t.replace('least = "volume"', 'least = "volume"\nmost = "mass"'),
         "write one of least, most",
     ),
     "an unknown quantity": (lambda t: t.replace('"strain"', '"strian"'), "did you mean strain?"),
-    "mass without density": (lambda t: t.replace('"volume"', '"mass"'), 'or take "volume"'),
     "near nothing": (lambda t: t.replace('least = "volume"', 'near = "tip_position"'), "near needs a value"),
     "a value without near": (lambda t: t.replace('"volume"', '"volume"\nvalue = 1'), "belong to near"),
     "a limit of nothing": (lambda t: t.replace("most = 0.105", ""), "limit 2: a limit of strain needs least, most"),
@@ -328,7 +336,7 @@ def test_bad_tasks_are_refused_in_one_line(what, task):
     change, message = REFUSED[what]
     path = task(change(TASK))
     said = refused(lambda: read_task(path).design())
-    assert said.startswith(f"{path}: ") or message == "cannot be read"
+    assert said.startswith(f"{path}: ")
     assert message in said
 
 

@@ -1,7 +1,5 @@
 """Gravity in the robot file: every command takes it as it takes `--gravity`, which wins, and zeros switch it off."""
 
-import json
-
 import numpy as np
 import pytest
 from bodies import paper_body
@@ -10,8 +8,7 @@ from places import DATA
 import cddf_jax as cddf
 from cddf_jax.designing.task_file import read_task
 from cddf_jax.errors import InputError
-from cddf_jax.files.manipulator_file import read_robot_file, write_manipulator
-from cddf_jax.reports.design_report import design_report
+from cddf_jax.files.manipulator_file import write_manipulator
 
 DOWN = (0.0, -9.81)
 NOTE = "note: gravity (0, -9.81) m/s^2, of the robot file\n"
@@ -85,19 +82,6 @@ def test_every_command_takes_the_gravity_of_the_file(loads_of, command):
     assert (set(off) <= {None}, said) == (True, "")
 
 
-def test_the_key_and_the_option_give_the_same(cddf_command, answer_of, mounted, tmp_path):
-    plain = tmp_path / "plain.toml"
-    write_manipulator(read_robot_file(mounted).manipulator, plain)
-    code, out, err = cddf_command("solve", mounted, "-t", "30 N", "--json")
-    assert (code, err) == (0, NOTE)
-    answer = json.loads(out)
-    assert answer == answer_of("solve", plain, "-t", "30 N", "--gravity", "0, -9.81 m/s^2")
-    assert answer["loads"]["gravity"] == list(DOWN)
-    off = answer_of("solve", mounted, "-t", "30 N", "--gravity", "0, 0 m/s^2")
-    assert off == answer_of("solve", plain, "-t", "30 N")
-    assert "loads" not in off
-
-
 def test_gravity_without_a_mass_is_refused_as_the_option_is(cddf_command, tmp_path):
     write_manipulator(paper_body("exact"), tmp_path / "light.toml", gravity=DOWN)
     code, out, err = cddf_command("solve", tmp_path / "light.toml", "-t", "30 N")
@@ -108,14 +92,6 @@ def test_gravity_without_a_mass_is_refused_as_the_option_is(cddf_command, tmp_pa
 def test_reproduce_refuses_gravity(fails, mounted):
     said = fails("reproduce", mounted, DATA / "load_cells_simulated.csv")
     assert said == f"{mounted}: the paper's manipulator bears no loads, this one has gravity; leave it out"
-
-
-@pytest.mark.slow
-def test_json_of_trace_and_sweep_states_the_gravity(cddf_command, mounted, tmp_path):
-    _, out, err = cddf_command("trace", mounted, "--path", "0 N, 5 N", "--short-steps", 2, "--json")
-    assert (json.loads(out)["loads"]["gravity"], err) == (list(DOWN), NOTE)
-    _, out, err = cddf_command("sweep", mounted, "--over", "base_tension=5 N, 10 N", "--out", tmp_path, "--json")
-    assert (json.loads(out)["loads"]["gravity"], err) == (list(DOWN), NOTE)
 
 
 # --- designs and the explorer ---------------------------------------------------------------------
@@ -151,12 +127,6 @@ def test_the_data_of_uncertain_numbers_were_measured_under_it(mounted, monkeypat
     with pytest.raises(InputError, match="far enough"):
         read_task(path)
     assert told == [list(DOWN)]
-
-
-@pytest.mark.slow
-def test_the_file_of_a_design_keeps_it(task, tmp_path):
-    design_report(task, task.design()).write(tmp_path)
-    assert read_robot_file(tmp_path / "design.toml").gravity == DOWN
 
 
 def test_the_explorer_is_given_the_whole_file(cddf_command, monkeypatch, mounted):

@@ -2,6 +2,8 @@
 
 import json
 import re
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from places import DATA
 
 import cddf_jax as cddf
 from cddf_jax.files.manipulator_file import write_manipulator
+from cddf_jax.reports.solve_report import missed_targets_in_words
 
 PAPER = str(DATA / "smooth_sil_940.toml")
 PULL = ("-t", "75 N")
@@ -40,31 +43,6 @@ def test_kinematics_instead_of_the_files(answer_of):
     answer = answer_of("solve", PAPER, "-t", "75 N", "--kinematics", "exact")
     assert np.degrees(answer["tip_angle"]) == pytest.approx(69.31393, abs=1e-5)  # docs/theory.md (16)
     np.testing.assert_allclose(answer["tip_position"], [0.11734384, 0.06028179], atol=1e-8)
-
-
-@pytest.mark.slow
-def test_two_tendons_and_their_directions(answer_of, two_tendons):
-    tensions = ("--base-tension", "75 N", "--base-tension", "20 N")
-    answer = answer_of("solve", two_tendons, *tensions, "--direction", "1", "--direction", "-1")
-    # docs/theory.md: 45.9 degrees and 28.0 N with the right signs, 54.0 degrees and 13.5 N with both "in"
-    assert np.degrees(answer["tip_angle"]) == pytest.approx(45.9, abs=0.05)
-    assert answer["tip_tension"][1] == pytest.approx(28.0, abs=0.05)
-    assert answer["direction_contradicted"] == [False, False]
-    found = answer_of("solve", two_tendons, *tensions)
-    assert found["direction"] == [1, -1]
-    assert found["tip_tension"] == pytest.approx(answer["tip_tension"], rel=1e-10)
-    both_in = answer_of("solve", two_tendons, *tensions, "--direction", "1")
-    assert np.degrees(both_in["tip_angle"]) == pytest.approx(54.0, abs=0.05)
-    assert both_in["tip_tension"][1] == pytest.approx(13.5, abs=0.05)
-    assert both_in["direction_contradicted"] == [False, True]
-    assert both_in["result"].startswith("A tendon travels against its direction")
-
-
-@pytest.mark.slow
-def test_one_tension_for_all_tendons(answer_of, two_tendons):
-    answer = answer_of("solve", two_tendons, "-t", "20 N")
-    assert answer["tip_angle"] == pytest.approx(0.0, abs=1e-12)  # pulled alike, it stays straight
-    assert answer["tip_tension"] == pytest.approx([20.0, 20.0])
 
 
 def test_solve_writes_files(answer_of, tmp_path):
@@ -107,25 +85,12 @@ def heavy(tmp_path_factory):
     return path
 
 
-@pytest.mark.slow
-def test_loads_in_json_are_what_the_library_says(answer_of, heavy):
-    answer = answer_of("solve", heavy, *PULL, *LOADS)
-    loads = cddf.Loads(tip_force=(0.0, -5.0), tip_moment=0.1, gravity=(0.0, -9.81))
-    equilibrium = cddf.solve(paper_body("exact", density=1070.0), [75.0], loads, direction=[1])
-    assert (answer.pop("result"), equilibrium.status == cddf.Status.successful) == ("successful", True)
-    assert (answer.pop("remarks"), answer.pop("self_contact")) == ([], None)
-    assert answer.pop("loads") == {"tip_force": [0.0, -5.0], "tip_moment": 0.1, "gravity": [0.0, -9.81]}
-    for name in answer:
-        np.testing.assert_allclose(answer[name], getattr(equilibrium, name), rtol=1e-12, err_msg=name)
-    new = {"base_tension", "target_miss", "base_moment", "load_fraction", "num_load_steps", "stable"}
-    assert new <= set(answer)
-    assert (answer["base_tension"], answer["load_fraction"], answer["stable"]) == ([75.0], 1.0, True)
-
-
 def test_the_moment_at_the_base_is_that_of_statics(answer_of, heavy):
     answer = answer_of("solve", heavy, *PULL, "--tip-force", "3 N, -5 N", "--tip-moment", "0.1 N m")
     x, y = answer["tip_position"]
     assert answer["base_moment"] == pytest.approx(x * -5.0 - y * 3.0 + 0.1, rel=1e-9)  # r x F + m about the base
+    assert answer["loads"] == {"tip_force": [3.0, -5.0], "tip_moment": 0.1, "gravity": [0.0, 0.0]}
+    assert (answer["base_tension"], answer["load_fraction"], answer["stable"]) == ([75.0], 1.0, True)
 
 
 def test_loads_in_words(cddf_command, answer_of, heavy):
@@ -181,54 +146,11 @@ def test_a_target_meets_the_closed_form(answer_of, cddf_command, heavy):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("target", "tip_angle", "tip_tension"),
-    [
-        # a parallel tendon wraps by the tip angle and travels by d phi; capstan law T_tip = T_base exp(-mu phi), and
-        # T_base - T_tip = mu / E G T_base T_tip by the closed form
-        ("displacement = 5 mm", 0.5, (1 - np.exp(-0.42 * 0.5)) / (0.42 / 1.4e6 * G)),
-        ("tip_tension=0.04 kN", -np.log(1 - 0.42 / 1.4e6 * G * 40.0) / 0.42, 40.0),
-    ],
-)
-def test_other_targets_meet_the_closed_form(answer_of, heavy, target, tip_angle, tip_tension):
-    answer = answer_of("solve", heavy, "-t", target)
-    assert answer["tip_angle"] == pytest.approx(tip_angle, rel=1e-7)
-    assert answer["tip_tension"] == pytest.approx([tip_tension], rel=1e-7)
-    assert answer["base_tension"] == pytest.approx([tip_tension * np.exp(0.42 * tip_angle)], rel=1e-7)
-    assert answer["tendon_displacement"] == pytest.approx([0.01 * tip_angle], rel=1e-7)
-    name = target.partition("=")[0].strip()
-    wanted = {"tip_angle": tip_angle, "displacement": 0.005, "tip_tension": 40.0}[name]
-    assert answer["targets"] == [{name: pytest.approx(wanted, rel=1e-15)}]
-    assert abs(answer["target_miss"][0]) < 1e-6
-
-
-@pytest.mark.slow
 def test_a_curvature_at_a_place(answer_of, heavy):
     answer = answer_of("solve", heavy, "-t", "curvature=0.008 1/mm at 7 cm")
     assert answer["targets"] == [{"curvature": 8.0, "arc_length": 0.07}]
     tension = cddf.closed_form_tension(paper_body("exact"), answer["base_tension"][0], 0.07)
     assert float(tension) * 0.010 / (1.4e6 * section(0.07)) == pytest.approx(8.0, rel=1e-7)  # E J kappa = d T
-
-
-@pytest.mark.slow
-def test_a_target_under_loads(answer_of, heavy):
-    answer = answer_of("solve", heavy, "-t", "tip_angle=45 deg", "--tip-force", "0 N, -5 N")
-    assert answer["tip_angle"] == pytest.approx(np.pi / 4, rel=1e-9)
-    assert answer["tension_loss"] == pytest.approx([1 - np.exp(-0.42 * np.pi / 4)], rel=1e-7)  # it bends one way only
-    assert answer["base_tension"][0] > 44.2646  # the force pulls the other way
-    assert answer["loads"]["tip_force"] == [0.0, -5.0]
-
-
-@pytest.mark.slow
-def test_two_targets(answer_of, two_tendons):
-    targets = ("-t", "tip_angle=30 deg", "-t", "total_tension=80 N", "--direction", "1", "--direction", "-1")
-    answer = answer_of("solve", two_tendons, *targets)
-    assert answer["tip_angle"] == pytest.approx(np.pi / 6, rel=1e-8)
-    assert sum(answer["base_tension"]) == pytest.approx(80.0, rel=1e-8)
-    growth = np.exp(0.42 * np.pi / 6)  # capstan law, sliding in and out
-    ratio = np.divide(answer["tip_tension"], answer["base_tension"])
-    np.testing.assert_allclose(ratio, [1 / growth, growth], rtol=1e-7)
-    assert answer["targets"] == [{"tip_angle": pytest.approx(np.pi / 6)}, {"total_tension": 80.0}]
 
 
 def test_a_target_out_of_reach(fails, heavy):
@@ -244,9 +166,10 @@ def test_a_target_out_of_reach(fails, heavy):
     assert angle == pytest.approx(np.degrees(np.log(1 + 0.42 / 1.4e6 * G * most) / 0.42), rel=1e-3)
 
 
-def test_a_displacement_that_would_take_a_push(fails, heavy):
-    said = fails("solve", heavy, "-t", "displacement=-3 mm", "--out", "folder", code=1)
-    assert said == (
+def test_a_displacement_that_would_take_a_push():
+    """The straight body is the nearest: no displacement, no tension."""
+    slack: Any = SimpleNamespace(status=cddf.Status.slack, target_miss=[0.003], base_tension=[0.0])
+    assert missed_targets_in_words(slack, [cddf.Displacement(-0.003)], ["displacement=-3 mm"]) == (
         "--base-tension 'displacement=-3 mm': the tendon would have to push, the nearest is 0 mm at 0 N; "
         "change the target"
     )

@@ -3,6 +3,8 @@
 import json
 import re
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from refusals import refused
 import cddf_jax as cddf
 from cddf_jax.cli.trace import read_paths
 from cddf_jax.files.manipulator_file import write_manipulator
+from cddf_jax.reports.trace_report import TracedPath, trace_as_dict, traced
 
 # base tension and tip tension, N, tip angle, deg, front, mm, energy lost so far, mJ: of a play in 1/T in closed form,
 # met by a time-stepping simulation without fronts
@@ -77,9 +80,10 @@ def test_a_loop_in_words(cddf_command, robot):
     assert back == f"4: pulled to 75 N, slides in along the whole body; {tip} 69.314 deg, {travel}"
     assert stay == f"5: stays at 75 N; {tip} 69.314 deg, {travel}"
     # the area within the loop of base tension over tendon displacement, by trapezoids
-    there = np.linspace(75.0, 40.0, 128)
-    table = cddf.as_frame(cddf.trace(paper_body("exact"), np.append(there, there[::-1])))
-    area = 1e3 * np.trapezoid(table["base_tension [N]"], table["tendon_displacement [m]"])
+    found = traced(paper_body("exact"), [[0.0, 75.0, 40.0, 75.0, 75.0]], ["force"], None, 16, 4)
+    loop = slice(found.steps[1], found.steps[3] + 1)
+    pulls, travels = (found.numbers[name][loop] for name in ("base_tension", "tendon_displacement"))
+    area = 1e3 * np.trapezoid(pulls, travels, axis=0).item()
     put_in, stored, lost = re.findall(r"([\d.]+) mJ", work)
     assert stored == "355.68"
     assert float(put_in) - 415.405749 == pytest.approx(area, rel=1e-3)
@@ -151,11 +155,23 @@ def test_a_path_in_a_file(cddf_command, robot, tmp_path, monkeypatch):
     ]
 
 
-def test_what_was_before_the_path(cddf_command, robot):
-    """Released from 75 N, as the table has its third row."""
-    code, out, err = cddf_command("trace", robot, "--path", "40 N", "--before", "75 N")
-    assert (code, err) == (0, "")
-    assert out.startswith("1: released to 40 N, slides out up to 115.09 mm and rests beyond; tip tension 45.123 N")
+def test_the_answer_states_the_loads():
+    at_rest: Any = SimpleNamespace(status=np.zeros(1, int))
+    answer = trace_as_dict(TracedPath(paper_body(), at_rest, [0], {}, cddf.Loads(gravity=(0.0, -9.81))))
+    loads: Any = answer["loads"]
+    assert list(loads["gravity"]) == [0.0, -9.81]
+
+
+def test_what_was_before_the_path(cddf_command, robot, monkeypatch):
+    told = []
+
+    def stop(*given):
+        told.append(given[-1])
+        raise cddf.InputError("far enough")
+
+    monkeypatch.setattr("cddf_jax.reports.trace_report.traced", stop)
+    assert cddf_command("trace", robot, "--path", "40 N", "--before", "0.075 kN")[0] == 2
+    assert told == [[75.0]]
 
 
 @pytest.mark.parametrize(
@@ -207,35 +223,12 @@ def test_what_cannot_be_traced(fails, two_tendons):
 
 
 @pytest.mark.slow
-def test_two_tendons(answer_of, two_tendons, tmp_path):
-    """Against the table of antagonists that a simulation refined from both sides: deg, within 0.02 deg."""
-    paths = ("--path", "75, 60, 40, 30 N", "--path", "20 N")
-    answer = answer_of("trace", two_tendons, *paths, "--out", tmp_path / "out")
-    np.testing.assert_allclose(np.degrees(answer["tip_angle"]), [45.858, 44.148, 31.046, 15.168], atol=0.02)
-    np.testing.assert_allclose(answer["tip_tension"][1], [50.304, 23.855], atol=0.03)
-    assert (tmp_path / "out" / "trace.png").stat().st_size > 1000
-    loop = np.genfromtxt(tmp_path / "out" / "loop.csv", delimiter=",", names=True, deletechars="")
-    assert loop["base_tension_2_[N]"][-1] == 20.0
-
-
-@pytest.mark.slow
 def test_more_short_steps_lower_the_error(answer_of, fails, two_tendons):
     path = ("--path", "75, 60 N", "--path", "20 N")
     few, more = (answer_of("trace", two_tendons, *path, "--short-steps", count) for count in (2, 8))
     assert 0 < more["error_estimate"][1] < few["error_estimate"][1]
     far = ("--path", "85, 10 N", "--path", "5, 60 N", "--short-steps", 2, "--nodes", 4)  # rough on purpose
     assert fails("trace", two_tendons, *far, code=1).endswith("exceeds 0.01: raise --short-steps and --nodes.")
-
-
-@pytest.mark.slow
-def test_a_tip_force(cddf_command, robot):
-    """Pulled only, as `solve` has it."""
-    code, out, _ = cddf_command("trace", robot, "--path", "40 N", "--tip-force", "0 N, -0.3 N")
-    angle = cddf.solve(paper_body("exact"), 40.0, cddf.Loads(tip_force=(0.0, -0.3))).tip_angle
-    assert code == 0
-    assert out.startswith("1: the tendon at 40 N slides in along the whole body; tip tension ")
-    found = float(out.split("tip angle ")[1].split(" deg")[0])
-    assert found == pytest.approx(np.degrees(float(angle)), rel=2e-4)  # 64 elements
 
 
 def test_a_step_that_fails(fails, robot):

@@ -151,10 +151,3 @@ def test_tensions_that_hardly_differ_have_a_scale_from_zero():
     scale = style.tension_scale(np.array([5.0, 5.0]))
     assert isinstance(scale, Normalize)
     assert (scale.vmin, scale.vmax) == (0.0, 5.0)
-
-
-@pytest.mark.slow
-def test_a_solve_in_space_is_drawn():
-    found = cddf.solve(ROBOT, (2.0, 0.0), nodes=6)
-    scene = figures.draw_shape(ROBOT, found)
-    assert "pdf" in next(iter(figures.render(scene.figure, "shape")))

@@ -77,6 +77,11 @@ def test_where_the_work_goes(history):
     assert sum(isinstance(area, PolyCollection) for area in axes.collections) == 2
 
 
+def test_without_axes_there_is_a_figure_of_one_column(history):
+    for axes in (figures.draw_loop(history), figures.draw_energy(history), figures.draw_history_along(BODY, history)):
+        assert axes.figure.get_figwidth() == figures.SINGLE_COLUMN
+
+
 def test_the_whole_figure(history):
     figure = figures.history_figure(BODY, history)
     assert [axes.get_ylabel() for axes in figure.axes] == [

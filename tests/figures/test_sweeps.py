@@ -221,9 +221,3 @@ def test_a_path_of_two_tensions_is_drawn_over_the_one_that_varies():
         np.testing.assert_array_equal(axes.lines[0].get_xdata(), PATH)
     with pytest.raises(InputError, match="draw_map: base_tension_1 is a path"):
         draw_map(answer, "tip_angle", "base_tension_1", "friction_coefficient")
-
-
-def test_a_path_is_no_map():
-    answer = loops_over({"friction_coefficient": FRICTIONS})
-    with pytest.raises(InputError, match=r"^draw_map: base_tension is a path, on which tensions repeat; use draw"):
-        draw_map(answer.sel(tendon=0), "tip_tension", "base_tension", "friction_coefficient")
