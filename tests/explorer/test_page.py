@@ -28,7 +28,7 @@ def opened(browser, server):
     """The page with its first picture, what it asked for, and what went wrong in it."""
     page, asked, wrong = opened_page(browser, server[1])
     page.locator(COMPUTING).first.wait_for()  # while there is no answer yet
-    wait_for(page, "new_base_tension")
+    wait_for(page, "tip_angle")
     page.locator(COMPUTING).first.wait_for(state="detached")
     yield page, asked, wrong
     page.close()

@@ -25,7 +25,7 @@ def explore(
     ] = 0,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Print the address and open nothing.")] = False,
 ) -> None:
-    """A page in the browser: sliders for body and load, the data beside the model, a fit, other tapers.
+    """A page in the browser: sliders for body and load, the data beside the model, a fit.
 
     It is served on this machine alone and needs no network. Ctrl-C ends it.
     """

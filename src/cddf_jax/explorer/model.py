@@ -30,7 +30,6 @@ from ..statics.equilibrium_text import result_in_words, wall_remarks
 from ..statics.named_numbers import Case, of_tendon
 from ..statics.solve import solve
 from ..statics.status import Status
-from ..statics.targets import TipAngle
 from .controls import FITTED, RADII, Control, controls_of, in_si, load_components, tensions_and_loads
 
 if TYPE_CHECKING:
@@ -85,16 +84,6 @@ class Curve(NamedTuple):
     base_tension: np.ndarray
     tip_tension: np.ndarray
     tip_angle: np.ndarray
-
-
-class Taper(NamedTuple):
-    """The results for one taper of the body, SI; NaN where a solve is not good."""
-
-    tension_loss: float  # of tendon 1 at the tensions that are set
-    tip_angle: float
-    peak_strain: float
-    base_tension: float  # of tendon 1 at which the tip has the angle that is asked for
-    strain_there: float
 
 
 @dataclass(frozen=True)
@@ -222,18 +211,6 @@ class Exploration:
         not_drawn = [f"{table.name}: {driven}" for table in self.tables if table not in self.drawn]
         return read_as + [f"{table.name}: {why}" for table in self.not_followed] + not_drawn
 
-    def tapers(self, settings: Settings, angle: float) -> tuple[Taper, Taper]:
-        """The results for the manipulator's own taper and for that of the settings, with everything else as set.
-
-        Args:
-            settings: of the controls.
-            angle: of the tip, rad, for which the tension is found.
-        """
-        own = {c.name: c.value for c in self.controls if c.name in RADII}
-        both = (settings._replace(numbers={**settings.numbers, **own}), settings)
-        first, second = (Taper(*map(float, _taper(self.case(s), np.float64(angle)))) for s in both)
-        return first, second
-
     def fit(self, kinematics: Kinematics) -> "Fit":
         """Friction and modulus from the tables, with the manipulator of the file, on which they were measured.
 
@@ -279,17 +256,6 @@ def _over_tension(case: Case, tendon: Int[ArrayLike, ""], pulls: Float[ArrayLike
         return where_good(equilibrium.status, (equilibrium.tip_tension[jnp.asarray(tendon)], equilibrium.tip_angle))
 
     return jax.vmap(at)(pulls)
-
-
-@eqx.filter_jit
-def _taper(case: Case, angle: Float[ArrayLike, ""]) -> tuple:
-    given = _solve(case)
-    others = [case.base_tension[i] for i in range(1, case.manipulator.num_tendons)]
-    asked = eqx.tree_at(lambda c: c.base_tension, case, [TipAngle(angle), *others], is_leaf=lambda x: x is None)
-    reached = _solve(asked)
-    numbers = given.tension_loss[0], given.tip_angle, _peak_strain(given)
-    there = reached.base_tension[0], _peak_strain(reached)
-    return *where_good(given.status, numbers), *where_good(reached.status, there)
 
 
 @eqx.filter_jit

@@ -8,7 +8,6 @@ from contextlib import ExitStack
 from functools import partial
 from typing import TYPE_CHECKING, TypeAlias
 
-import numpy as np
 import panel as pn
 
 from .. import figures
@@ -24,7 +23,7 @@ from .parts import column, grid, plot, slider, title, words
 from .past import Loop, Turns, after_move, loop_of, why_no_loop
 from .plots import AlongPlots, BodyPlot, TableColumns, TensionPlots
 from .space import SpacePlot
-from .words import lines_html, loop_html, numbers_html, paragraph, tapers_html
+from .words import lines_html, loop_html, numbers_html, paragraph
 
 if TYPE_CHECKING:
     from ..identification.fit import Fit
@@ -81,7 +80,6 @@ class ExplorerView:
             "numbers": [self.numbers],
             "along": [grid(*map(plot, (*self.body.views, *self.along.figures.values())), least=230)],
             "past": [self.past_text, *([] if self.several else [self.forget_button])],
-            "what_if": [self.what_if],
         }
         self.drawn = {name: column(*part) for name, part in parts.items()}
         self.drawn["tension"] = column(grid(*map(plot, self.tension.figures.values()), least=330), self.drawn["past"])
@@ -99,16 +97,12 @@ class ExplorerView:
         ]
         kinematics = self.settings.kinematics
         self.kinematics = pn.widgets.Select(name="Kinematics", options=list(KINEMATICS), value=kinematics, width=105)
-        body = self.exploration.manipulator
-        angle = 45.0 if body.in_space else 45.0 * body.tendons[0].side  # in space it has no sign
-        self.angle = pn.widgets.FloatInput(name="Tip angle asked for (deg)", value=angle, step=5.0, width=180)
         self.reset = pn.widgets.Button(name="Back to the file's numbers", on_click=lambda _: self._start_again())
-        for widget in (*self.sliders.values(), *self.directions, self.kinematics, self.angle):
+        for widget in (*self.sliders.values(), *self.directions, self.kinematics):
             widget.param.watch(lambda _: self.change(), "value")
 
     def _make_words(self) -> None:
-        kinds = ("numbers", "what-if", "verdict", "past")
-        self.numbers, self.what_if, self.verdict, self.past_text = map(words, kinds)
+        self.numbers, self.verdict, self.past_text = map(words, ("numbers", "verdict", "past"))
         self.forget_button = pn.widgets.Button(name="Forget the past", on_click=lambda _: self.forget())
         self.fit_button = pn.widgets.Button(name="Fit friction and modulus", button_type="primary")
         self.fit_button.disabled = not self.exploration.tables
@@ -130,7 +124,6 @@ class ExplorerView:
     @property
     def parts(self) -> dict[str, pn.Column]:
         """The parts of the page, by their names in page.css."""
-        compared = column(title("What if the taper were another"), self.angle, self.drawn["what_if"])
         buttons = pn.FlexBox(self.fit_button, self.take_over)
         fit = column(title("What the data tell"), buttons, self.verdict)
         downloads = [
@@ -146,7 +139,7 @@ class ExplorerView:
             "side": column(*self.sliders.values(), chosen, self.reset),
             "tension": self.drawn["tension"],
             "along": self.drawn["along"],
-            "rest": column(grid(compared, fit, least=400), files),
+            "rest": column(fit, files),
         }
 
     # --- changes ---------------------------------------------------------------------------------
@@ -180,8 +173,7 @@ class ExplorerView:
         self.settings = Settings(numbers, directions, self.kinematics.value)
         self._mark("computing", True, self.drawn)
         self.turns = after_move(self.turns, self.exploration, self.settings)
-        wanted = self.settings, float(self.angle.value or 0.0), self.turns, self.tendon
-        self.threads.pictures.submit(self._guarded, self._draw, *wanted)
+        self.threads.pictures.submit(self._guarded, self._draw, self.settings, self.turns, self.tendon)
 
     def _guarded(self, function: Callable[..., None], settings: Settings, *arguments: object) -> None:
         """Call a function on a thread, unless there are newer settings; show errors on the page."""
@@ -197,26 +189,20 @@ class ExplorerView:
             logging.getLogger(__name__).exception("explorer")
             self._on_page(self._refuse, f"{type(error).__name__}: {error}")
 
-    def _draw(self, settings: Settings, angle: float, turns: Turns, tendon: int) -> None:
+    def _draw(self, settings: Settings, turns: Turns, tendon: int) -> None:
         """Make the picture, and then start on another thread what takes longer."""
         picture = self.exploration.picture(self.exploration.case(settings))
         self._on_page(self._show, settings, picture, tendon)
         if picture.good:
             self.threads.pasts.submit(self._guarded, self._remember, settings, picture, turns)
-            self.threads.comparisons.submit(self._guarded, self._compare, settings, angle, picture, tendon)
+            self.threads.comparisons.submit(self._guarded, self._compare, settings, picture, tendon)
 
-    def _compare(self, settings: Settings, angle: float, picture: Picture, tendon: int) -> None:
+    def _compare(self, settings: Settings, picture: Picture, tendon: int) -> None:
         curve = self.exploration.curve(picture.case, tendon)
         rows = self.exploration.in_rows(picture.case.manipulator)
         self._on_page(self.tension.show_curve, curve)
         self._on_page(self._show_points, "rows", rows)
         self._on_page(self._done, settings, ["tension"])
-        text = "The bending stiffness of this body is given: another taper would not change how it bends."
-        if self.exploration.manipulator.stiffened_by_radii:
-            tapers = self.exploration.tapers(settings, np.radians(angle))
-            text = tapers_html(tapers, angle, self.several)
-        self._on_page(setattr, self.what_if, "object", text)
-        self._on_page(self._done, settings, ["what_if"])
 
     def _show_points(self, kind: str, tables: Sequence[TableColumns]) -> None:
         """Readings, or what the body shows in their rows."""

@@ -6,7 +6,7 @@ from html import escape
 import numpy as np
 
 from ..statics.status import in_words, words_of
-from .model import Picture, Taper
+from .model import Picture
 from .past import Loop
 from .plots import tendon_look
 
@@ -74,26 +74,6 @@ def _line(tendon: int) -> str:
     dashes = " ".join(map(str, look["line_dash"]))
     line = f'<line x2="26" y1="4" y2="4" stroke="{look["line_color"]}" stroke-width="2" stroke-dasharray="{dashes}"/>'
     return f'<svg width="26" height="8" aria-hidden="true">{line}</svg>'
-
-
-def tapers_html(tapers: tuple[Taper, Taper], angle: float, several: bool) -> str:
-    """The taper that is set, compared with the manipulator's own."""
-    which = " of tendon 1" if several else ""
-    kinds = [
-        ("tension_loss", f"tension loss{which}, at the tensions set", 100.0, "%"),
-        ("tip_angle", "tip angle, at the tensions set", float(np.degrees(1.0)), "deg"),
-        ("peak_strain", "peak strain, at the tensions set", 100.0, "%"),
-        ("base_tension", f"base tension{which} for a tip angle of {angle:g} deg", 1.0, "N"),
-        ("strain_there", f"peak strain at {angle:g} deg", 100.0, "%"),
-    ]
-    rows = []
-    for name, words, scale, unit in kinds:
-        both = own, new = [scale * getattr(taper, name) for taper in tapers]
-        texts = [f"{value:.4g}" if np.isfinite(value) else "not reached" for value in both]
-        change = 100 * (new / own - 1) if own else np.nan
-        cells = [_number(f"{whose}_{name}", text, unit) for whose, text in zip(("own", "new"), texts, strict=True)]
-        rows.append([words, *cells, f"{change:+.1f} %" if np.isfinite(change) else "-"])
-    return _table(("what if", "file's taper", "this taper", "change"), rows)
 
 
 def lines_html(text: str) -> str:
