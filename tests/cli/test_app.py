@@ -96,12 +96,7 @@ def test_wrong_manipulators(fails, change, message):
     [
         (("solve", PAPER, "-t", "75"), "--base-tension needs a unit of force, got '75'; write for example '12.5 N'"),
         (("solve", PAPER, *PULL, "--gravity", "0, -9.81 m/s^2"), f"{PAPER}: loads.gravity: the body has no weight"),
-        (("fit", PAPER, PULLEY, "--prior", "youngs_modulus=1.4 MPa +- 0 MPa"), "prior for youngs_modulus: needs a me"),
-        (("fit", PAPER, PULLEY, "--prior", "length=140 mm +- 1 mm"), "prior for 'length', which is not fitted"),
-        (("fit", PAPER, PULLEY, "--noise", "tip_angle=1 deg"), "fit: noise is given for 'tip_angle', which no table"),
         (("fit", PAPER, PULLEY, "--noise", "pulling_tension=0 N"), "sigma of pulley_simulated.csv: pulling_tension mu"),
-        (("fit", PAPER, PULLEY, "--per-trial", "--free", "youngs_modulus"), "fit: per_trial needs a free friction_co"),
-        (("fit", PAPER, PULLEY, "--free", "density"), "fit: 'density' is not a parameter that can be fitted"),
         (("reproduce", PAPER, LOAD_CELLS, "--column", "a=trial"), "load_cells_simulated.csv: no column 'a'"),
         (("reproduce", PAPER, PULLEY), "pulley_simulated.csv: the column tip_tension is missing"),
     ],

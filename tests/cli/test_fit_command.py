@@ -29,20 +29,11 @@ def assert_the_fit(answer, fit):
 
 def test_fit_in_words_says_what_is_not_known(cddf_command):
     code, out, err = cddf_command("fit", PAPER, PULLEY)
-    assert (code, err) == (0, "")
+    assert (code, err) == (0, "")  # on standard output is the answer alone, and what is quick is not shown
     fit = cddf.fit(cddf.read_manipulator(PAPER), cddf.read_measurements(PULLEY))
     assert out.splitlines()[: len(fit.verdict)] == list(fit.verdict)
     assert "youngs_modulus: not identified" in out
     assert "simulated data: pulley_simulated.csv" in out
-
-
-def test_a_fit_says_what_it_is_doing(cddf_command, said):
-    code, out, err = cddf_command("fit", PAPER, PULLEY, "--free", "friction_coefficient")
-    assert (code, err) == (0, "")  # on standard output is the answer alone, and what is quick is not shown
-    assert [stage.what for stage in said if not stage.what.startswith("step ")] == [
-        *("loading", "loading", "searching"),
-    ]
-    assert out.startswith("friction_coefficient = ")
 
 
 @pytest.mark.slow
@@ -167,7 +158,6 @@ def test_a_fit_that_fails(cddf_command, tmp_path):
     assert json.loads((tmp_path / "folder" / "results.json").read_text())["success"] is False
     report = (tmp_path / "folder" / "report.md").read_text()
     assert report.splitlines()[2].startswith("- The fit failed: ")
-    assert "- No figure of locked.csv: the model gave no numbers for tip_tension in 3 of 3 rows." in report
     assert "- No figure of profiles: the fit failed: " in report
 
 

@@ -12,11 +12,10 @@ from places import DATA
 
 import cddf_jax as cddf
 from cddf_jax.files.manipulator_file import write_manipulator
-from cddf_jax.reports.solve_report import missed_targets_in_words
+from cddf_jax.reports.solve_report import missed_targets_in_words, solve_as_dict
 
 PAPER = str(DATA / "smooth_sil_940.toml")
 PULL = ("-t", "75 N")
-LOADS = ("--tip-force", "0 N, -5 N", "--tip-moment", "0.1 N m", "--gravity", "0, -9.81 m/s^2")
 
 
 def test_solve_in_words(cddf_command):
@@ -37,6 +36,8 @@ def test_solve_in_json_is_what_the_library_says(answer_of):
         np.testing.assert_allclose(answer[name], getattr(equilibrium, name), rtol=1e-12, err_msg=name)
     assert answer["tip_tension"] == pytest.approx([45.122927013148], rel=1e-8)  # docs/theory.md (16)
     assert {"arc_length", "curvature", "heading", "position", "tension", "normal_force"} <= set(answer)
+    targets = solve_as_dict(equilibrium, [cddf.CurvatureAt(8.0, 0.07)], None)["targets"]
+    assert targets == [{"curvature": 8.0, "arc_length": 0.07}]
 
 
 def test_kinematics_instead_of_the_files(answer_of):
@@ -85,20 +86,17 @@ def heavy(tmp_path_factory):
     return path
 
 
-def test_the_moment_at_the_base_is_that_of_statics(answer_of, heavy):
-    answer = answer_of("solve", heavy, *PULL, "--tip-force", "3 N, -5 N", "--tip-moment", "0.1 N m")
+def test_the_moment_at_the_base_is_that_of_statics(answer_of, cddf_command, heavy):
+    arguments = ("solve", heavy, *PULL, "--tip-force", "3 N, -5 N", "--tip-moment", "0.1 N m")
+    answer = answer_of(*arguments)
     x, y = answer["tip_position"]
     assert answer["base_moment"] == pytest.approx(x * -5.0 - y * 3.0 + 0.1, rel=1e-9)  # r x F + m about the base
     assert answer["loads"] == {"tip_force": [3.0, -5.0], "tip_moment": 0.1, "gravity": [0.0, 0.0]}
     assert (answer["base_tension"], answer["load_fraction"], answer["stable"]) == ([75.0], 1.0, True)
-
-
-def test_loads_in_words(cddf_command, answer_of, heavy):
-    code, out, err = cddf_command("solve", heavy, *PULL, *LOADS)
+    code, out, err = cddf_command(*arguments)
     assert (code, err) == (0, "")
-    answer = answer_of("solve", heavy, *PULL, *LOADS)
     assert out.splitlines()[3:5] == [
-        "loads: tip force (0, -5) N, tip moment 0.1 N m, gravity (0, -9.81) m/s^2; put on in 1 step",
+        "loads: tip force (3, -5) N, tip moment 0.1 N m, gravity (0, 0) m/s^2; put on in 2 steps",
         f"moment of the loads at the base: {answer['base_moment']:.5g} N m",
     ]
     assert out.splitlines()[5].endswith("; successful")
@@ -143,14 +141,6 @@ def test_a_target_meets_the_closed_form(answer_of, cddf_command, heavy):
     # T_tip = 31.8271 N, loss 1 - exp(-0.42 pi / 4) = 28.10 %, travel 10 mm * pi / 4
     line = "tendon 1: base tension 44.2646 N gives tip_angle=45 deg, tip tension 31.8271 N, loss 28.10 %, "
     assert line + "pulled in 7.854 mm" in out
-
-
-@pytest.mark.slow
-def test_a_curvature_at_a_place(answer_of, heavy):
-    answer = answer_of("solve", heavy, "-t", "curvature=0.008 1/mm at 7 cm")
-    assert answer["targets"] == [{"curvature": 8.0, "arc_length": 0.07}]
-    tension = cddf.closed_form_tension(paper_body("exact"), answer["base_tension"][0], 0.07)
-    assert float(tension) * 0.010 / (1.4e6 * section(0.07)) == pytest.approx(8.0, rel=1e-7)  # E J kappa = d T
 
 
 def test_a_target_out_of_reach(fails, heavy):

@@ -356,6 +356,17 @@ def test_the_bootstrap_in_the_report(drum_report):
     assert told == [bootstrap.coverage for bootstrap in drum_report.bootstraps]
 
 
+def test_what_cannot_be_drawn_is_said(drum):
+    """A failed search at a place where the model gives no numbers, made up."""
+    lost = {label: np.full(values.shape, np.nan) for label, values in drum.residuals.items()}
+    failed = dataclasses.replace(drum, success=False, result="made up", residuals=lost)
+    made = report.make_report(failed)
+    assert report.report_figures(made) == {}
+    said = report.left_out(made)
+    assert said["pulley_simulated.csv"] == "the model gave no numbers for pulling_tension in 30 of 30 rows"
+    assert said["profiles"] == "the fit failed: made up"
+
+
 # --- what a fit hangs on, and how to repeat it ------------------------------------------------------
 
 
