@@ -323,30 +323,3 @@ def test_memory_is_bounded_for_any_size(tmp_path):
     asked = {"solves": 1_400_000, "outputs": ["tip_tension", "curvature"], "limit": 120_000_000}
     told = ended(start(compiler="", out=str(tmp_path / "s.zarr"), **asked)).split()
     assert told[1] == "1400000"
-
-
-# --- fits -------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def line():
-    x = np.linspace(0.0, 1.0, 20)
-    rng = np.random.default_rng(0)
-    y = 1.0 + 2.0 * x + 0.1 * rng.normal(size=20)
-
-    def predict(p):
-        return {"data": p["a"] + p["b"] * x}
-
-    return x, y, cddf.least_squares_fit(predict, {"a": 0.0, "b": 0.0}, {"data": y}, sigma=0.1)
-
-
-@pytest.mark.parametrize("kind", ["parametric", "cases"])
-def test_a_bootstrap_goes_on_where_it_was(line, tmp_path, kind):
-    fit = line[2]
-    whole = fit.bootstrap(kind, 600, seed=3)
-    fit.bootstrap(kind, 600, seed=3, out=tmp_path / "b.zarr")
-    (tmp_path / "b.zarr" / "ended" / "c" / "1").unlink()
-    resumed = fit.bootstrap(kind, 600, seed=3, out=tmp_path / "b.zarr")
-    np.testing.assert_array_equal(resumed.estimates, whole.estimates)
-    with pytest.raises(cddf.InputError, match="its seed is 3, not 4"):
-        fit.bootstrap(kind, 600, seed=4, out=tmp_path / "b.zarr")

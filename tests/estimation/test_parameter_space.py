@@ -12,13 +12,6 @@ SETTLED = 1e-6  # what is quadratic near the minimum loses half of the digits of
 # --- names, structures and compilation -----------------------------------------------------------
 
 
-def test_names_of_an_array():
-    fit = least_squares_fit(lambda p: p[0] + p[1] * X, np.ones(2), NOISY, SIGMA)
-    assert fit.names == ("[0]", "[1]")
-    np.testing.assert_allclose(list(fit.value.values()), [A_HAT, B_HAT], rtol=SETTLED)
-    np.testing.assert_allclose(fit.parameters, [A_HAT, B_HAT], rtol=SETTLED)
-
-
 def test_names_of_a_nested_mapping():
     def predict(p):
         return p["level"] + p["shape"]["slopes"][0] * X + p["shape"]["slopes"][1] * X**2
@@ -63,14 +56,3 @@ def test_a_scale_judges_what_is_zero():
     assert fits[1.0].standard_error["a"] == pytest.approx(error, rel=1e-4)
     assert error > 0.5 * 0.01
     assert fits[0.01].status["a"] == "not identified"
-
-
-# --- other starts ------------------------------------------------------------------------------
-
-
-def test_what_data_leave_open_is_not_searched_for_long():
-    """A product that the data tell is no trouble."""
-    product = least_squares_fit(
-        lambda p: p["c"] * p["d"] * X, {"c": 1.0, "d": 1.0}, 1.5 * X + 0.01 * np.cos(9 * X), SIGMA
-    )
-    assert (product.restarted, product.starts.size) == ("", 0)

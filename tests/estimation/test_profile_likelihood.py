@@ -30,8 +30,7 @@ B_ERROR = SIGMA * np.sqrt(COVARIANCE[1, 1])
 # --- a linear model ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("sigma", [SIGMA, None])
-@pytest.mark.parametrize(("name", "i"), [("a", 0), ("b", 1)])
+@pytest.mark.parametrize(("sigma", "name", "i"), [(SIGMA, "a", 0), (None, "b", 1)])
 def test_a_linear_model_has_its_t_interval(sigma, name, i):
     spread, quantile = (SIGMA, NORMAL) if sigma else (np.sqrt(RSS / 28), stats.t.ppf(0.975, 28))
     profile = least_squares_fit(line, START, NOISY, sigma).profile(name)

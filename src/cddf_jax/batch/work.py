@@ -1,4 +1,4 @@
-"""Work in chunks, shared by all processes, with its result in a store: a sweep, a bootstrap."""
+"""Work in chunks, shared by all processes, with its result in a store: a sweep."""
 
 import os
 from collections.abc import Callable, Mapping

@@ -4,17 +4,12 @@
 trials) from the data with replacement. With few cases its intervals are too narrow: `coverage` says how much.
 """
 
-import json
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from os import PathLike
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import ndtri, stdtr
 
-from ..batch.chunks import Coordinate, Index, Layout, Variable, even_chunks
-from ..batch.fingerprint import digest, numbers_of
-from ..batch.work import carry_out
 from ..errors import InputError
 from ..progress import stage
 from .levenberg_marquardt import Minimum, minimise_all
@@ -27,7 +22,6 @@ LEAST_COVERAGE = 0.93  # of 95 % intervals; a smaller coverage is remarked on
 Labels = Sequence[Hashable] | np.ndarray
 Clusters = Mapping[str, tuple[str, Labels]]  # by group, the name of what is drawn from and one label for each datum
 Sources = Sequence[tuple[str, Labels]]  # the same of all groups
-Path = str | PathLike[str]
 
 
 class Bootstrap(NamedTuple):
@@ -105,7 +99,6 @@ def bootstrap(
     clusters: Clusters,
     noise_freedom: float,
     seed: int,
-    out: Path | None,
 ) -> Bootstrap:
     """See `LeastSquaresFit.bootstrap`; `noise_freedom` are the degrees of freedom of the estimated noise."""
     problem = minimum.problem
@@ -119,48 +112,33 @@ def bootstrap(
             raise InputError(f"bootstrap: clusters of {name!r} need one label for each datum of a group of data")
     sources = [clusters.get(name, (name, np.arange(size))) for name, size in sizes.items()]
 
-    def draw(layout: Layout, index: Index) -> Data:
-        return _draw(np.random.default_rng([seed, *index]), layout.count(index), minimum, kind, sources)
+    def drawn(chunk: int, size: int) -> Data:
+        return _draw(np.random.default_rng([seed, chunk]), size, minimum, kind, sources)
 
-    found = _refit_all(minimum, draw, replicates, {"kind": kind, "seed": seed}, clusters, out)
-    kept, failed = found["estimate"][found["ended"]], int(np.sum(~found["ended"]))
+    estimates = _refit_all(minimum, drawn, replicates)
+    ended = np.all(np.isfinite(estimates), axis=1)
     num_cases = min(map(len, _cases(sources).values())) if kind == "cases" else 0
-    names = problem.space.names
-    return Bootstrap(kind, names, kept, minimum.outcome.parameters, failed, seed, num_cases, noise_freedom)
+    names, best, failed = problem.space.names, minimum.outcome.parameters, int(np.sum(~ended))
+    return Bootstrap(kind, names, estimates[ended], best, failed, seed, num_cases, noise_freedom)
 
 
-def _refit_all(
-    minimum: Minimum,
-    draw: Callable[[Layout, Index], Data],
-    count: int,
-    of_draws: Mapping[str, object],
-    clusters: Clusters,
-    out: Path | None,
-) -> Mapping[str, np.ndarray]:
-    """The estimates, and which ended at a minimum; `of_draws` is in the identity of a store."""
+def _refit_all(minimum: Minimum, drawn: Callable[[int, int], Data], count: int) -> np.ndarray:
+    """The estimates, (count, parameters); NaN where a refit ended at no minimum.
+
+    `drawn` gives the data of a chunk by its number and size.
+    """
     problem, best = minimum
-    names = problem.space.names
-    shape, ended = (("replicate", "parameter"), (count, len(names))), (("replicate",), (count,))
-    variables = {
-        "estimate": Variable(*shape, np.dtype(float), {"long_name": "estimate"}),
-        "ended": Variable(*ended, np.dtype(bool), {"long_name": "ended at a minimum"}),
-    }
-    coords: dict[str, Coordinate] = {"parameter": (("parameter",), np.asarray(names), {})}
-    chunks = even_chunks([count], CHUNK, [False])
-    layout = Layout({"replicate": count}, chunks, coords, variables, {"title": "cddf_jax refits"})
-
-    def refit(layout: Layout, index: Index) -> dict[str, np.ndarray]:
-        z = np.broadcast_to(best.z, (layout.count(index), best.z.size))
-        found = minimise_all(problem, z, draw(layout, index))
-        pressed = np.any(problem.space.at_bound(found.parameters), axis=1)  # at a bound a search never settles
-        good = (found.solved | pressed) & np.isfinite(found.cost) & np.all(np.isfinite(found.parameters), axis=1)
-        return {"estimate": np.where(good[:, None], found.parameters, np.nan), "ended": good}
-
-    def identity() -> dict[str, object]:
-        data_and_model = digest(json.dumps(numbers_of((problem, best.z, clusters))))
-        return {**of_draws, "data and model": data_and_model, "replicate": count, "parameters": list(names)}
-
-    return carry_out("refitting", layout, identity, refit, out).values()
+    size = -(-count // -(-count // CHUNK))  # chunks of nearly equal size
+    found = []
+    with stage("refitting", count) as now:
+        for chunk, begin in enumerate(range(0, count, size)):
+            own = min(size, count - begin)
+            ends = minimise_all(problem, np.broadcast_to(best.z, (own, best.z.size)), drawn(chunk, own))
+            pressed = np.any(problem.space.at_bound(ends.parameters), axis=1)  # at a bound a search never settles
+            good = (ends.solved | pressed) & np.isfinite(ends.cost)
+            found.append(np.where(good[:, None], ends.parameters, np.nan))
+            now.done += own
+    return np.concatenate(found)
 
 
 def _draw(rng: np.random.Generator, size: int, minimum: Minimum, kind: str, sources: Sources) -> Data:

@@ -12,7 +12,7 @@ from jaxtyping import PyTree
 
 from ..errors import InputError
 from ..numerics.given_numbers import check_numbers
-from .bootstrap import Bootstrap, Clusters, Path, bootstrap
+from .bootstrap import Bootstrap, Clusters, bootstrap
 from .determination import Determination, determine
 from .evidence import Evidence
 from .levenberg_marquardt import MAX_STEPS, Minimum
@@ -115,7 +115,6 @@ class LeastSquaresFit(Determination):
         *,
         clusters: Clusters | None = None,
         seed: int = 0,
-        out: Path | None = None,
     ) -> Bootstrap:
         """Draw new data and fit them, starting at the estimate, with the same weights of the data.
 
@@ -127,17 +126,14 @@ class LeastSquaresFit(Determination):
             clusters: for "cases", by group, the name of its source and one label per datum. Data with the same label
                 are drawn together, also across groups with the same source. None for the clusters of the fit.
             seed: of NumPy's generator.
-            out: path of a Zarr store for the estimates; a bootstrap that was stopped goes on where it was, and several
-                processes share the work.
 
         Raises:
-            InputError: for an unknown kind, too few replicates, clusters that do not fit a group, a store of other
-                work.
+            InputError: for an unknown kind, too few replicates, clusters that do not fit a group.
         """
         if clusters is None:
             clusters = self.clusters if kind == "cases" else {}
         freedom = np.min(self.evidence.uncertainty(np.eye(len(self.names))).freedom)
-        return bootstrap(self.minimum, kind, replicates, clusters, float(freedom), seed, out)
+        return bootstrap(self.minimum, kind, replicates, clusters, float(freedom), seed)
 
     def doubted(self, reason: str) -> "LeastSquaresFit":
         """The fit as a failed one, for a reason that is not in its sum of squares."""
@@ -173,12 +169,14 @@ def least_squares_fit(
     loss: str = "linear",
     starts: int | None = None,
     seed: int = 0,
-    prefer_start: bool = False,
     max_steps: int = MAX_STEPS,
     accuracy: float = 0.0,
     inputs: InputErrors | None = None,
 ) -> LeastSquaresFit:
     """Fit parameters by Levenberg-Marquardt and say what the data determine.
+
+    If the data leave a valley open, the estimate lies where the first parameter of the valley has its start value, and
+    not at the shallow minimum that noise makes somewhere in it.
 
     Args:
         predict: differentiable; from parameters in the structure of `start` to the structure of `observed`.
@@ -191,7 +189,7 @@ def least_squares_fit(
         priors: by parameter name, mean and standard deviation of a Gaussian.
         scales: by parameter name, a size that matters, for parameters that may be 0. If the estimate is smaller, the
             standard error is compared with this size.
-        loss: "linear", "huber" or "cauchy", in standard deviations of the noise. With a loss other than
+        loss: "linear" or "huber", in standard deviations of the noise. With a loss other than
             "linear" the noise is estimated by the median.
         starts: number of points to search from, the first being `start`. None: from `start` alone, and from up to 32
             more if that search failed, hardly explained the data or ended where the data do not determine the
@@ -199,8 +197,6 @@ def least_squares_fit(
             distance from a bound, or by the size of a parameter without bounds. Such a parameter has the other sign in
             one start of four.
         seed: of the further starts.
-        prefer_start: if the data leave a valley open, end where its first parameter has its start value, and not at the
-            shallow minimum that noise makes somewhere in the valley.
         max_steps: of the optimiser.
         accuracy: in standard errors, for a model whose derivative jumps or that is not good to all digits: a search
             ends where a whole step of Gauss-Newton promises to move the estimates by less.
@@ -243,7 +239,7 @@ def least_squares_fit(
             len(shared.basis),
         )
     problem = LeastSquaresProblem(predict, unravel, labels, data, shared, space, loss, max_steps, accuracy)
-    task = FitTask(problem, groups, prefer_start, inputs)
+    task = FitTask(problem, groups, inputs)
     return _conclude(task.groups, jax.tree.structure(observed), search(task, starts, seed), seed)
 
 

@@ -136,7 +136,6 @@ class Watch:
     ends: list[Minimum] = field(default_factory=list)  # of the searches that hold no parameter, so far
     begun: float = field(default_factory=time.monotonic)  # s, of the clock
     deadline: float = np.inf  # s, of the clock, when searches end wherever they are
-    words: str = "step 1"  # where the last search was
 
     def saw(self, minimum: Minimum, seconds: float, *, first: bool, free: bool) -> None:
         """Where a search is after a portion that took some seconds; `first`: its first one."""

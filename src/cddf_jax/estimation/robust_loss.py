@@ -26,7 +26,7 @@ class Loss(NamedTuple):
         return float(np.sum(self.influence(residual) ** 2) / freedom), float(np.mean(self.slope(residual)))
 
 
-HUBER, CAUCHY = 1.3450, 2.3849
+HUBER = 1.3450
 
 
 def _huber(r: Numbers) -> Numbers:
@@ -35,18 +35,7 @@ def _huber(r: Numbers) -> Numbers:
     return jnp.where(size > HUBER, jnp.sign(r) * jnp.sqrt(HUBER * (2 * beyond - HUBER)), r)
 
 
-def _cauchy(r: Numbers) -> Numbers:
-    u = (r / CAUCHY) ** 2
-    large = jnp.where(u > 1e-6, u, 1.0)
-    return r * jnp.where(u > 1e-6, jnp.sqrt(jnp.log1p(large) / large), 1 - u / 4)
-
-
 LOSSES = {
     "linear": Loss(lambda r: r, lambda r: r, np.ones_like),
     "huber": Loss(_huber, lambda r: np.clip(r, -HUBER, HUBER), lambda r: (np.abs(r) <= HUBER).astype(float)),
-    "cauchy": Loss(
-        _cauchy,
-        lambda r: r / (1 + (r / CAUCHY) ** 2),
-        lambda r: (1 - (r / CAUCHY) ** 2) / (1 + (r / CAUCHY) ** 2) ** 2,
-    ),
 }
