@@ -354,8 +354,3 @@ def test_the_other_readings_of_a_row_count():
     assert one.clusters["gap: tip_tension"][1].tolist() == [0, 1, 3]
     assert np.isfinite(one.mean_relative_error)
     assert draw_residuals(one, column="tip_tension") is not None
-
-
-def test_a_gap_is_no_difference_between_rows():
-    columns = {"base_tension": [9, 5, 9], "tip_tension": [8, 4, 8], "tip_x": [np.nan, 0.1, np.nan]}
-    assert "row 3 is row 1 again" in Measurements.from_columns(**columns).warnings[0]

@@ -6,8 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..quantities import dimension_of
-from ..units import shown
 from .readings import set_by
 
 if TYPE_CHECKING:
@@ -27,39 +25,11 @@ def warnings_of(table: "Measurements", *, in_order: bool | None, from_rest: bool
         in_order: whether its rows have a history; None: each is pulled from rest.
         from_rest: whether the trials begin at rest.
     """
-    of_rows = [look(table) for look in (_one_row, _repeated_rows, _one_level)]
     of_past = [partial(_tip_above_base, in_order=in_order)] if from_rest else []
     of_order = {True: [_starts_anew], False: [_coming_down], None: []}[in_order]
     looks = _below_zero, *of_past, *of_order, _large_angle
-    of_columns = [next(filter(None, (look(table, column) for column in table.columns)), "") for look in looks]
-    return tuple(filter(None, of_rows + of_columns))
-
-
-def _one_row(table: "Measurements") -> str:
-    return "there is one row only, from which no scatter can be estimated" if len(table) == 1 else ""
-
-
-def _repeated_rows(table: "Measurements") -> str:
-    columns = [np.nan_to_num(values, nan=np.inf) for values in table.columns.values()]  # gaps are equal to each other
-    order = np.lexsort(columns)  # stable: of equal rows the earlier stays first
-    same = np.all([values[order][1:] == values[order][:-1] for values in columns], axis=0)
-    if not np.any(same):
-        return ""
-    earlier, later = order[:-1][same], order[1:][same]
-    first = int(np.argmin(later))
-    return (
-        f"rows that repeat an earlier one to the last digit: {later.size} of {len(table)} "
-        f"({table.place(int(later[first]))} is {table.place(int(earlier[first]))} again); were they copied?"
-    )
-
-
-def _one_level(table: "Measurements") -> str:
-    pulls = {column: table[column] for column in set_by(table.columns)}
-    if len(table) == 1 or not pulls or any(np.ptp(own) > ONE_LEVEL * np.max(np.abs(own)) for own in pulls.values()):
-        return ""
-    column, values = next(iter(pulls.items()))
-    level = shown(values.mean(), dimension_of(column))
-    return f"{column} hardly varies from {level}, so that no slope can be determined; measure at other levels"
+    found = [next(filter(None, (look(table, column) for column in table.columns)), "") for look in looks]
+    return tuple(filter(None, found))
 
 
 def _below_zero(table: "Measurements", column: str) -> str:
