@@ -8,7 +8,6 @@ from scipy import stats
 from test_fit import LEVELS, MU, E, closed_form, wrap
 
 import cddf_jax as cddf
-from cddf_jax.errors import InputError
 from cddf_jax.identification.bench import Bench, experiment_of
 from cddf_jax.identification.parameters import (
     OF_SPACE,
@@ -61,9 +60,6 @@ def test_gain_and_zeros_of_the_instruments(paper):
     # a fit that takes the cells at their word is far off
     plain = cddf.fit(paper, table, noise=exact)
     assert plain.reduced_chi_square > 2
-    # noise of the base cell cannot take their place without a word
-    doubtful = cddf.fit(paper, table, noise=NOISE)
-    assert any("follow one another from level to level" in warning for warning in doubtful.warnings)
     ranking = cddf.compare({"plain": plain, "errors of the cells": found})
     assert ranking[0].name == "errors of the cells"
     assert ranking[0].cross_validation < 1.1 < ranking[1].cross_validation
@@ -215,13 +211,6 @@ def test_a_known_tip_force_is_part_of_the_model(paper):
     assert not np.any(there.extrapolated)
     force = np.array([(0.0, -1.0), (0.0, -1.1), (0.1, -1.0)])
     assert found.predict("tip_angle", np.full(3, levels[0]), force).extrapolated.tolist() == [False, True, True]
-
-
-@pytest.mark.slow
-def test_comparing_other_data(paper):
-    fits = {"a": cddf.fit(paper, readings(9), noise=NOISE), "b": cddf.fit(paper, readings(10), noise=NOISE)}
-    with pytest.raises(InputError, match="other data"):
-        cddf.compare(fits)
 
 
 @pytest.mark.slow

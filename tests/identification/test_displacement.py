@@ -96,18 +96,6 @@ def test_without_compliance_tip_angles_tell_neither_friction_nor_modulus():
 
 
 @pytest.mark.slow
-def test_rows_without_an_order_are_each_followed_from_rest():
-    pulled = LOOP[:6]
-    history = cddf.trace(robot(), [cddf.Displacement(pulled)])
-    columns = {"displacement": pulled[::-1], "tip_tension": np.asarray(history.tip_tension)[::-1]}
-    table = Measurements.from_columns("simulated", **columns)
-    noise = {"displacement": 0.0, "tip_tension": TENSION}
-    found = cddf.fit(guess(COMPLIANCE), table, BOTH, noise=noise)
-    np.testing.assert_allclose(found.residuals["simulated: tip_tension"], 0.0, atol=1e-6)  # pulled in only
-    assert "simulated: each row was followed from rest, with all that was set in proportion" in found.warnings
-
-
-@pytest.mark.slow
 def test_a_pair_brings_the_truth_back():
     there = 1e-3 * np.array([0, 4, 8, 10, 6, 2, 0, -4, -8, -6, -3, 0, 3, 6, 9])
     tension, seen = 0.4e-3, 2e-4  # both tendons are pulled taut by 0.4 mm; 0.2 mm of noise of the camera

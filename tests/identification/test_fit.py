@@ -11,7 +11,6 @@ from scipy import optimize, stats
 
 import cddf_jax as cddf
 from cddf_jax.errors import InputError
-from cddf_jax.identification.verdict import _differ
 from cddf_jax.measurements.table import Measurements
 
 MU, E = 0.42, 1.4e6  # data/README.md: the truth of every set
@@ -127,9 +126,7 @@ def test_the_verdict_says_what_would_help(tensions_only):
     assert "successful" in tensions_only.result
 
 
-@pytest.mark.parametrize(
-    ("start", "free"), [((2.0, 1e5), BOTH), ((0.05, 1e8), BOTH[::-1]), ((1.0, 1e9), BOTH), ((MU, E), BOTH[::-1])]
-)
+@pytest.mark.parametrize(("start", "free"), [((2.0, 1e5), BOTH), ((1.0, 1e9), BOTH[::-1])])
 def test_neither_start_nor_order_matters(tensions_only, start, free):
     fit = cddf.fit(started(PAPER, *start), LOAD_CELLS, free)
     assert_only_the_ratio(fit)
@@ -139,31 +136,11 @@ def test_neither_start_nor_order_matters(tensions_only, start, free):
 
 
 @one_kinematics_at_once
-@pytest.mark.parametrize("start", [(MU, E), (2.0, 1e5), (0.46, 1.48e6), (0.05, 1e8)])
-def test_tensions_without_noise(kinematics, start):
-    """The closed form itself as data: the ratio comes back, neither factor does."""
-    body = paper_body(kinematics, friction_coefficient=start[0], youngs_modulus=start[1])
-    fit = cddf.fit(body, bench())
+def test_tensions_without_noise(kinematics):
+    """The closed form itself as data: the ratio comes back, neither factor does; a row of 0 N determines nothing."""
+    fit = cddf.fit(paper_body(kinematics, friction_coefficient=0.05, youngs_modulus=1e8), bench(LEVELS - 5.0))
     assert_only_the_ratio(fit)
     assert fit.combinations[RATIO].value == pytest.approx(MU / E, rel=1e-7)
-
-
-def test_a_row_without_tension():
-    """A reading of 0 N at both ends determines nothing, and the other readings count as before."""
-    fit = cddf.fit(paper_body("exact"), bench(LEVELS - 5.0))
-    assert_only_the_ratio(fit)
-    assert fit.combinations[RATIO].value == pytest.approx(MU / E, rel=1e-7)
-
-
-def test_rows_in_another_order(tensions_only):
-    order = np.random.default_rng(7).permutation(len(LOAD_CELLS))
-    shuffled = Measurements.from_columns(
-        LOAD_CELLS.name, notes=LOAD_CELLS.notes, **{name: LOAD_CELLS[name][order] for name in LOAD_CELLS.columns}
-    )
-    fit = cddf.fit(PAPER, shuffled)
-    assert fit.combinations[RATIO].value == pytest.approx(tensions_only.combinations[RATIO].value, rel=1e-9)
-    (label,) = fit.residuals
-    np.testing.assert_allclose(fit.residuals[label], tensions_only.residuals[label][order], atol=1e-6)
 
 
 def test_noise_given(ratio_by_scipy):
@@ -254,15 +231,6 @@ def test_each_table_alone(paper_route, tensions_only):
     assert tensions.status == dict.fromkeys(BOTH, "not identified")
     expected = tensions_only.combinations[RATIO].standard_error
     assert tensions.combinations[RATIO].standard_error == pytest.approx(expected, rel=1e-2)
-
-
-def test_noise_is_that_of_the_residuals(paper_route):
-    """Declared: sd 0.1 N and 1 % in quadrature, and 1 % of friction from trial to trial for the load cells."""
-    for name, residual in paper_route.residuals.items():
-        assert paper_route.noise[name] == pytest.approx(np.std(residual), rel=0.05)
-    tip = closed_form(LOAD_CELLS["base_tension"])
-    declared = np.hypot(0.1, 0.01 * tip)
-    assert paper_route.noise["load_cells_simulated.csv: tip_tension"] > 0.9 * np.sqrt(np.mean(declared**2))
 
 
 def test_band_of_a_prediction(paper_route):
@@ -360,34 +328,6 @@ def test_tip_angles_give_both(with_tip_angle, tip_angle):
     assert noise["tip_angle_simulated.csv: tip_angle"] == pytest.approx(np.deg2rad(0.5), rel=4 / np.sqrt(2 * 23))
 
 
-def test_prediction_of_the_tip_angle(with_tip_angle):
-    mu, modulus = (with_tip_angle.value[name] for name in BOTH)
-    base = np.array([20.0, 60.0])
-    prediction = with_tip_angle.predict("tip_angle", base)
-    np.testing.assert_allclose(prediction.value, wrap(base, mu, modulus), rtol=1e-7)
-    assert np.all(prediction.half_width > 0)
-    assert np.all(prediction.half_width < 0.02 * prediction.value)
-
-
-@pytest.mark.slow
-def test_tip_positions_give_both():
-    """Design.md section 4: mu to about 3 % and E to about 1 % from tension and position with 1 N and 1 mm, 6 levels."""
-    base, rng = np.arange(10.0, 61.0, 10.0), np.random.default_rng(9)
-    solved = [reference_solution(paper_plain("exact"), pull) for pull in base]
-    position = np.array([solution.tip_position for solution in solved]) + 1e-3 * rng.normal(size=(6, 2))
-    tip = np.array([solution.tip_tension[0] for solution in solved]) + rng.normal(size=6)
-    table = bench(base, tip_tension=tip, tip_x=position[:, 0], tip_y=position[:, 1])
-    fit = cddf.fit(
-        paper_body("exact", friction_coefficient=0.3, youngs_modulus=1e6),
-        table,
-        noise={"tip_tension": 1.0, "tip_x": 1e-3, "tip_y": 1e-3, "base_tension": 0.0},
-    )
-    assert_true(fit)
-    assert fit.standard_error["friction_coefficient"] / MU < 0.05
-    assert fit.standard_error["youngs_modulus"] / E < 0.02
-    assert 0.2 < fit.reduced_chi_square < 2.0  # 16 degrees of freedom: 99.9 % of all draws lie here
-
-
 # --- two tendons and directions ------------------------------------------------------------------
 
 
@@ -479,20 +419,6 @@ def test_a_wrong_sign_and_a_wrong_unit_are_reported():
     assert any("check the units of the tables" in warning for warning in fit.warnings)
 
 
-def test_trials_of_different_noise_do_not_differ():
-    """Draws of one distribution each: the scatter of 4 readings at a high level is 30 times that of 20 at a low one.
-
-    An analysis of variance of the residuals as they are would report two or more of twenty such tables.
-    """
-    pulls, trial, alarms, plain = np.repeat([5.0, 80.0], [20, 4]), np.repeat([1, 2], [20, 4]), 0, 0
-    noise = np.where(pulls < 10, 0.01, 0.3)
-    for seed in range(20):
-        error = noise * np.random.default_rng(seed).normal(size=pulls.size)
-        alarms += _differ(error / noise, trial)
-        plain += _differ(error, trial)
-    assert (alarms, plain >= 2) == (0, True)
-
-
 def test_trials_that_differ_are_reported():
     """Three trials whose friction differs by 20 %, from closed forms with 0.1 N of noise."""
     pulls, rng = np.tile(LEVELS, 3), np.random.default_rng(3)
@@ -501,11 +427,10 @@ def test_trials_that_differ_are_reported():
     assert any("tip_tension differs from trial to trial" in warning for warning in fit.warnings)
 
 
-def test_warnings_of_a_table_are_passed_on():
+def test_one_reading_of_a_pulley():
     one = Measurements.from_columns("drum", weight=[5.0], wrap_angle=[1.0], pulling_tension=[8.0])
     fit = cddf.fit(PAPER, one, noise={"pulling_tension": 0.1})
-    assert fit.warnings[0] == "drum: there is one row only, from which no scatter can be estimated"
-    assert fit.warnings[1] == "youngs_modulus did not move: no datum depends on it"  # a pulley test knows no body
+    assert fit.warnings == ("youngs_modulus did not move: no datum depends on it",)  # a pulley test knows no body
     # one reading of eq. (5): mu = ln(T / W) / theta, se = sigma / (T theta)
     assert fit.value["friction_coefficient"] == pytest.approx(np.log(8.0 / 5.0), rel=1e-6)
     assert fit.standard_error["friction_coefficient"] == pytest.approx(0.1 / 8.0, rel=1e-6)
@@ -523,7 +448,6 @@ def test_warnings_of_a_table_are_passed_on():
         ),
         ({"free": ()}, "fit: needs a table of measurements and a free parameter"),
         ({"data": ()}, "fit: needs a table of measurements and a free parameter"),
-        ({"free": ("tip_gain_x",)}, "fit: 'tip_gain_x' is not a parameter"),
         ({"free": ("angle_zero_2",)}, "fit: 'angle_zero_2' is not a parameter"),
         ({"per_trial": True}, "fit: per_trial needs a free friction_coefficient and tables whose column trial names 2"),
         ({"data": "bench.csv"}, "fit: data must be tables as read_measurements gives them, one or several"),
@@ -532,7 +456,6 @@ def test_warnings_of_a_table_are_passed_on():
             "fit: every tendon has its own friction coefficient; leave theirs out to fit a common one",
         ),
         ({"priors": {"density": (1.0, 1.0)}}, "prior for 'density', which is not fitted; fitted are friction_coeff"),
-        ({"bounds": {"length": (0.1, 0.2)}}, "bounds for 'length', which is not fitted"),
         ({"noise": {"tip_angle": 0.1}}, "fit: noise is given for 'tip_angle', which no table holds; they hold tip_ten"),
         ({"noise": {"tip_tension": 0.0}}, "sigma of bench: tip_tension must be > 0"),
         (
@@ -544,7 +467,6 @@ def test_warnings_of_a_table_are_passed_on():
             "friction_coefficient starts at 0, which is not inside its bounds 0 to inf; move the start or the bounds",
         ),
         ({"data": bench(direction=np.ones(17))}, r"bench: nothing observed; add a column tip_tension \[N\], tip_angle"),
-        ({"data": bench(tip_force_x=np.ones(17))}, "bench: nothing observed; add a column tip_tension"),  # a condition
         (
             {"data": bench(base_tension_2=LEVELS, tip_tension=LEVELS)},
             r"bench: column 'base_tension_2', but the manipulator has 1 tendon\(s\)",

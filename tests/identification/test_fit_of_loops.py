@@ -74,20 +74,6 @@ def test_a_loop_brings_the_truth_back(fitted):
     assert not fitted.model.experiments[0].on_one_curve
 
 
-def test_a_file_with_clock_times_brings_the_truth_back(tmp_path):
-    """The same loop. Without its times the way back would count as pulled, so an empty one is refused."""
-    rows = [
-        f"10:00:{i:02d}, {pull}, {tip}, {angle}" for i, (pull, tip, angle) in enumerate(zip(LOOP, *loop(), strict=True))
-    ]
-    path = tmp_path / "loop.csv"
-    path.write_text("\n".join(["Time, base_tension [N], tip_tension [N], tip_angle [rad]", *rows]))
-    found = cddf.fit(BODY, cddf.read_measurements(path), ALL, noise=NOISE)
-    np.testing.assert_allclose([found.value[name] for name in ALL[:3]], [MU, E, 1.0], rtol=1e-6)
-    path.write_text(path.read_text().replace("10:00:18", ""))
-    with pytest.raises(InputError, match="row 20, column time: the cell is empty"):
-        cddf.read_measurements(path)
-
-
 def test_standard_errors_of_a_pull_and_of_a_loop(fitted):
     """As an independent derivation has them: 0.1 N, 0.5 degrees of noise; gain and zero of the tip cell free."""
     for found, expected in ((fitted.pull_alone, [1.37, 0.40, 0.83]), (fitted, [0.27, 0.17, 0.18])):
@@ -363,11 +349,9 @@ def test_a_first_row_may_be_a_release():
             {"before": "up"},
             "fit: before must be \"rest\" or the largest base tension before the first row, N, got 'up'",
         ),
-        ({"before": -1.0}, "fit: before must be"),
         ({"before": [60.0, 60.0]}, "fit: before must hold one entry for each of the 1 trials, got 2"),
         ({"free": ["before_3"]}, "fit: before_3 belongs to trial 3, but only 1 have a history"),
         ({"free": ["before"], "history": False}, "fit: before is used with a history only; leave it out, or give hist"),
-        ({"before": 60.0, "history": False}, "fit: before is used with a history only"),
     ],
 )
 def test_an_invalid_past_is_refused(given, message):
@@ -555,7 +539,7 @@ def held(rng, deviation, samples=50):
     return np.repeat(LOOP, samples) + deviation * rng.normal(size=samples * LOOP.size)
 
 
-@pytest.mark.parametrize("deviation", [0.05, 0.3, 0.5])
+@pytest.mark.parametrize("deviation", [0.05, 0.5])
 def test_samples_of_a_hold_are_no_turns(deviation):
     """50 samples of each level: the noise is found, the level is their mean, and one turn is left."""
     found = without_jitter(held(np.random.default_rng(3), deviation))
@@ -588,7 +572,7 @@ def test_a_ramp_with_jitter_has_one_turn():
     assert np.abs(np.mean(found.tension - clean)) < 0.02
 
 
-@pytest.mark.parametrize("path", [LOOP, [75, 40, 60, 50, 60, 75], [80, 20, 60, 30, 50, 38, 45], [30, 60], [10]])
+@pytest.mark.parametrize("path", [LOOP, [80, 20, 60, 30, 50, 38, 45], [10]])
 def test_real_turns_stay(path):
     """Loops within loops, and a zigzag that shrinks; also with a stated noise."""
     path = np.asarray(path, float)
@@ -612,7 +596,7 @@ def test_a_small_turn_counts_where_it_is_stated():
 STAIRS = np.concatenate([np.arange(1.0, 12.1), np.arange(11.5, 0.0, -1.0)])  # N
 
 
-@pytest.mark.parametrize("noise", [0.05, 0.08, 0.1, 0.2, 1.0])
+@pytest.mark.parametrize("noise", [0.05, 1.0])
 def test_a_stated_noise_smooths_no_staircase(noise):
     """All of its turns are real: the peak, 12 and 11.5 N, stays, also where the steps are smaller than the noise."""
     np.testing.assert_array_equal(without_jitter(STAIRS, noise).tension, STAIRS)
@@ -689,13 +673,6 @@ def test_coming_back_down_is_a_candidate(fitted):
         assert ("tip tensions and angles, pulled and come back down" in names) == follows
 
 
-@pytest.mark.slow
-def test_coming_back_down_ranks_before_the_pull_alone(fitted):
-    one, both = (Candidate(f"{n}", {"base_tension": LOOP[:n], "step": range(n)}, NOISE) for n in (17, 33))
-    ranking = cddf.plan(fitted, [one, both], num=1).ranking
-    assert [ranked.candidate.name for ranked in ranking] == ["33", "17"]
-
-
 # --- creep and jitter -----------------------------------------------------------------------------
 
 
@@ -732,7 +709,7 @@ def test_creep_drifts():
 
 @pytest.mark.slow
 def test_jitter_of_the_base_cell_does_not_bias_a_fit():
-    """33 levels of 50 samples, 0.3 N of jitter: mu within 1 %, modulus within 0.3 %; not with every jitter a turn.
+    """33 levels of 50 samples, 0.3 N of jitter: mu within 1 %, modulus within 0.3 %.
 
     What is left is the error of the mean of 50 readings, 0.04 N at each level.
     """
@@ -740,8 +717,7 @@ def test_jitter_of_the_base_cell_does_not_bias_a_fit():
     read = {"tip_tension": np.repeat(tip, 50), "tip_angle": np.repeat(angle, 50)}
     read = {name: values + NOISE[name] * rng.normal(size=values.size) for name, values in read.items()}
     samples = Measurements.from_columns("bench", base_tension=held(rng, 0.3), step=range(1650), **read)
-    found, every = (cddf.fit(BODY, samples, noise=noise) for noise in ({}, {"base_tension": 0.0}))
+    found = cddf.fit(BODY, samples)
     assert found.value["friction_coefficient"] == pytest.approx(MU, rel=0.01)
     assert found.value["youngs_modulus"] == pytest.approx(E, rel=0.003)
     assert any("of its turns of" in warning and "are taken for noise" in warning for warning in found.warnings)
-    assert abs(every.value["youngs_modulus"] / E - 1) > 5 * abs(found.value["youngs_modulus"] / E - 1)

@@ -10,7 +10,6 @@ from places import DATA
 from refusals import refused
 from scipy import stats
 
-from cddf_jax.errors import InputError
 from cddf_jax.identification.model_free import model_free_friction
 from cddf_jax.measurements.table import Measurements, read_measurements
 
@@ -43,7 +42,7 @@ def share(truths):
 # --- the value -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("mu", [0.0, 0.05, 0.42, 1.5])
+@pytest.mark.parametrize("mu", [0.0, 1.5])
 def test_exact_data_give_the_exact_value(mu):
     found = model_free_friction(table_of(BASE, ANGLE, mu))
     np.testing.assert_allclose(found.estimate, mu, atol=1e-13)  # rounding of exp and log over the smallest angle
@@ -56,16 +55,6 @@ def test_a_tendon_that_slides_out_and_a_body_that_bends_away_give_the_same():
     )
     np.testing.assert_allclose(model_free_friction(out).estimate, MU, rtol=1e-13)
     assert model_free_friction(out).value == pytest.approx(MU, rel=1e-13)
-
-
-def test_the_order_of_rows_does_not_matter():
-    table = table_of(BASE, ANGLE, noise=NOISE, rng=np.random.default_rng(2))
-    order = np.random.default_rng(3).permutation(24)
-    shuffled = Measurements.from_columns("bench", **{name: values[order] for name, values in table.columns.items()})
-    one, other = model_free_friction(table), model_free_friction(shuffled)
-    assert one.value == pytest.approx(other.value, rel=1e-13)
-    assert one.constancy == pytest.approx(other.constancy, rel=1e-9)
-    np.testing.assert_allclose(one.estimate[order], other.estimate, rtol=1e-12)
 
 
 @pytest.mark.parametrize("trial", [None, np.arange(24) % 5])
@@ -141,16 +130,10 @@ def test_a_drift_is_found():
     assert any("drifts with base tension by more than chance" in line for line in found[0].verdict)
 
 
-def test_the_slope_and_its_error_against_monte_carlo(replicates):
-    slopes = np.array([each.constancy.slope for each in replicates])
-    assert slopes.mean() == pytest.approx(0, abs=4 * slopes.std() / np.sqrt(REPLICATES) + 0.05 * slopes.std())
-    assert np.mean([each.constancy.standard_error for each in replicates]) == pytest.approx(slopes.std(), rel=0.07)
-
-
 # --- rows that determine little ------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("row", [(20.0, 20.1, 0.0), (20.0, 20.1, 1e-300), (20.0, 0.0, 0.3), (0.0, 0.1, 0.001)])
+@pytest.mark.parametrize("row", [(20.0, 20.1, 1e-300), (20.0, 0.0, 0.3), (0.0, 0.1, 0.001)])
 def test_rows_without_an_angle_or_a_tension_are_left_out(row):
     table = table_of(BASE, ANGLE, noise=NOISE, rng=np.random.default_rng(10))
     more = Measurements.from_columns(
@@ -160,25 +143,6 @@ def test_rows_without_an_angle_or_a_tension_are_left_out(row):
     assert (one.value, one.standard_error) == (other.value, other.standard_error)
     assert np.isnan(other.estimate[0])
     assert "of 24 of 25 rows" in other.verdict[0]
-
-
-def test_rows_of_tiny_angles_and_tips_above_the_base_hardly_count():
-    table = table_of(BASE, ANGLE, noise=NOISE, rng=np.random.default_rng(11))
-    more = Measurements.from_columns(
-        base_tension=[*table["base_tension"], 20, 20],
-        tip_tension=[*table["tip_tension"], 20.3, 19.8],
-        tip_angle=[*table["tip_angle"], 1e-4, 1e-6],
-    )
-    one, other = model_free_friction(table), model_free_friction(more)
-    assert other.estimate[-2] < -100
-    assert other.value == pytest.approx(one.value, abs=0.01 * one.standard_error)
-
-
-def test_tips_above_the_base_throughout_give_a_negative_value():
-    table = Measurements.from_columns(base_tension=[10, 20], tip_tension=[10.2, 20.1], tip_angle=[0.1, 0.2])
-    found = model_free_friction(table)
-    assert found.value < 0
-    assert found.confidence_interval[0] < 0 < found.confidence_interval[1]
 
 
 def test_one_row_determines_the_value_but_not_its_noise():
@@ -233,7 +197,6 @@ def test_the_shipped_table():
     ("columns", "message"),
     [
         ({"tip_tension": None}, "bench: no column 'tip_tension'; friction without a model needs base_tension,"),
-        ({"tip_angle": None}, "bench: no column 'tip_angle'; friction without a model needs base_tension,"),
         ({"tip_angle": [0, 0]}, "bench: no row has tensions and a tip angle other than 0; measure at tensions"),
         ({"base_tension_2": [5, 5]}, "bench: several tendons and no column 'direction'; add it: 1 where"),
     ],
@@ -242,9 +205,3 @@ def test_errors(columns, message):
     given = {"base_tension": [10, 20], "tip_tension": [9, 17], "tip_angle": [0.2, 0.4]} | columns
     table = Measurements.from_columns("bench", **{name: values for name, values in given.items() if values is not None})
     assert refused(model_free_friction, table).startswith(message)
-
-
-def test_a_pulley_test_is_not_for_this():
-    table = Measurements.from_columns("pulley", weight=[1], wrap_angle=[1], pulling_tension=[2])
-    with pytest.raises(InputError, match=r"pulley: no column 'base_tension'; .*add the column or use fit"):
-        model_free_friction(table)

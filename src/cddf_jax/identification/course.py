@@ -6,7 +6,7 @@ Each trial starts from rest, a straight body whose tendon never had a tension, u
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -28,7 +28,7 @@ from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..statics.targets import Displacement
 from ..units import shown
-from .parameters import with_deviation
+from .parameters import RUBBING, along_a_path, with_deviation
 from .tension_before import REST, Past, Start, past_of
 
 STEPS = 16  # paths are traced in multiples of this number, so that tables share compiled programs
@@ -323,6 +323,18 @@ def paths_of(table: Measurements, history: bool | str | None) -> list[np.ndarray
             "them; add a column step, and these rows are kept"
         )
     return table.trials
+
+
+def how_followed(manipulator: Manipulator, parameters: Sequence[str], loads: Loads | None) -> dict[str, Any]:
+    """Whether paths need increments, and whether the times of rows count: `stepped` and `timed` of `course_of`.
+
+    Args:
+        manipulator: the body.
+        parameters: free or given ones.
+        loads: those of all rows.
+    """
+    along = along_a_path(manipulator, parameters)
+    return {"stepped": loads is not None or bool({*along} & {*RUBBING}), "timed": "lag" in along}
 
 
 def course_of(

@@ -27,14 +27,12 @@ from ..progress import each
 from ..robot.manipulator import Manipulator
 from ..statics.status import NOTEWORTHY, words_of
 from .bench import Bench, Pulley, experiment_of
-from .course import course_of, paths_of
+from .course import course_of, how_followed, paths_of
 from .fit import Fit
 from .parameters import (
     PLAIN,
-    RUBBING,
     BenchSetting,
     Parameters,
-    along_a_path,
     free_parameters,
     parameter_named,
     starting_value,
@@ -271,10 +269,8 @@ def _experiment(
     table = Measurements.from_columns(name, notes=(), **columns)
     course, paths = None, paths_of(table, None)
     if paths:
-        along = along_a_path(body, (*parameters, *setting.given))
-        stepped = setting.loads is not None or bool({*along} & {*RUBBING})
-        how = {"paths": paths, "stepped": stepped, "timed": "lag" in along}
-        course = course_of(table, dict.fromkeys(SET, 0.0), **how)[0]
+        how = how_followed(body, (*parameters, *setting.given), setting.loads)
+        course = course_of(table, dict.fromkeys(SET, 0.0), paths=paths, **how)[0]
     return experiment_of(table, body, course=course, setting=setting, free=("angle_zero",))  # no reading is known yet
 
 

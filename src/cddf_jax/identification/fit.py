@@ -19,42 +19,34 @@ from ..measurements.jitter import Steady
 from ..measurements.left_out import CONTRADICTED, LeaveOut, LeftOut, named_rows, without
 from ..measurements.loop_sense import runs_backwards
 from ..measurements.markers import marker_column
-from ..measurements.readings import kind_of_set, set_by
 from ..measurements.table import Measurements
-from ..numerics.given_numbers import check_numbers
-from ..quantities import dimension_of
 from ..robot.manipulator import Manipulator
 from ..statics.arguments import refuse_batch
-from ..units import si_unit
 from . import bench
 from .camera import camera_start, check_reach, unexplained_pose
-from .course import CLOSE, EACH, SHORT_STEPS, Course, course_of, paths_of
+from .course import CLOSE, EACH, SHORT_STEPS, how_followed
+from .fit_inputs import courses_of, noise_of, split_noise, trials_of
 from .parameters import (
     PLAIN,
-    RUBBING,
     TRIALS,
     BenchSetting,
-    along_a_path,
     camera_parameters,
     free_parameters,
     parameter_named,
     starting_value,
     stiffness_parameter,
-    trial_of,
     with_parameters,
 )
 from .predictions import (
     Numbers,
     Prediction,
-    TipMisfit,
     beyond_the_data,
     moved_by_finer_steps,
     predicted_rows,
-    tip_misfits,
 )
 from .random_effects import errors_of_base, fit_trials
 from .rivals import Rival, rivals_of
-from .tension_before import Before, first_guesses, starts_of
+from .tension_before import Before
 from .verdict import (
     AGAINST,
     SolveResults,
@@ -168,11 +160,10 @@ class Fit(LeastSquaresFit):
             InputError: for another column, conditions of other shapes, or a path that `fit` could not follow.
         """
         body, setting = self.manipulator, self._setting(column)
-        stepped = body.has_memory or setting.loads is not None
-        timed = "lag" in along_a_path(body, (*self.names, *setting.given))
-        how = {"short_steps": self._short_steps, "stepped": stepped, "timed": timed}
+        how = how_followed(body, (*self.names, *setting.given), setting.loads)
         pulls = {"base_tension": base_tension, "displacement": displacement}
         path = {"time": time, "history": history, "before": before}
+        how |= {"short_steps": self._short_steps}
         wanted = predicted_rows(pulls, tip_force, body.num_tendons, setting, **path, **how)
         shown = wanted.evaluate(self.model.manipulator, self.parameters, self.model.nodes)
         if column not in shown.readings:
@@ -247,11 +238,6 @@ class Fit(LeastSquaresFit):
     def moved_by_steps(self) -> dict[str, float]:
         """By parameter, its error by the increments of a history, over its standard error; {} without increments."""
         return moved_by_finer_steps(self) if self.success else {}
-
-    @property
-    def tip_misfits(self) -> dict[str, TipMisfit]:
-        """By table of a body in space that bends in one plane, how far its tip is off in this plane and across it."""
-        return tip_misfits(self)
 
     @cached_property
     def rivals(self) -> list[Rival]:
@@ -368,10 +354,10 @@ def fit(
         raise InputError("fit: needs a table of measurements and a free parameter")
     options = given | {"free": list(free), "setting": setting.as_dict(), "leave_out": left_out}
     kinds = {name: parameter_named(name) for name in free}
-    earlier = np.cumsum([0, *(len(_trials(table)) for table in tables)])
+    earlier = np.cumsum([0, *(len(trials_of(table)) for table in tables)])
     with within("fit"):
-        noise, of_base = _split(noise or {}, tables)
-        courses, guesses = _courses(manipulator, tables, history, before, free, of_base, short_steps, setting)
+        noise, of_base = split_noise(noise or {}, tables)
+        courses, guesses = courses_of(manipulator, tables, history, before, free, of_base, short_steps, setting)
     experiments = (
         bench.experiment_of(table, manipulator, int(first), course and course[0], setting, free=free)
         for table, first, course in zip(tables, earlier, courses, strict=False)
@@ -397,7 +383,7 @@ def fit(
     observed, inputs = {group.label: group.observed for group in groups}, errors_of_base(model, tables, of_base)
     search = partial(least_squares_fit, model, observed=observed, sigma=sigma, inputs=inputs, bounds=bounds)
     in_increments = any(course is not None and course[0].short_steps is not None for course in courses)
-    search = partial(search, loss=loss, seed=seed, prefer_start=True, accuracy=CLOSE if in_increments else 0.0)
+    search = partial(search, loss=loss, seed=seed, accuracy=CLOSE if in_increments else 0.0)
     if not per_trial:
         statistics = search(start, priors=priors, scales=scales, starts=starts)
         found = _conclude(statistics, tables, model, setting, without_jitter, float("nan"), left_out, options)
@@ -420,87 +406,6 @@ def _without_contradicted(once: Callable[..., Fit]) -> Fit:
             break
         left = {file: left.get(file, []) + more.get(file, []) for file in {**left, **more}}
         found = once(leave_out=left)
-    return found
-
-
-def _courses(
-    manipulator: Manipulator,
-    tables: Sequence[Measurements],
-    history: bool | str | None,
-    before: Before,
-    free: Sequence[str],
-    noise: Mapping[str, float],
-    short_steps: int,
-    setting: BenchSetting,
-) -> tuple[list[tuple[Course, dict[str, Steady]] | None], dict[str, tuple[float, float]]]:
-    """The course of each table, None without a history; guesses of pasts."""
-    paths = [paths_of(table, history) for table in tables]
-    counts = [len(own or ()) for own in paths]
-    starts = starts_of(counts, before, free, manipulator.num_tendons)
-    along = along_a_path(manipulator, (*free, *setting.given))
-    for table, rows in zip(tables, paths, strict=True):
-        if along and not rows and "pulling_tension" not in table:
-            what = f"{table.name}: {', '.join(along)} act along a history, and the rows have none"
-            raise InputError(what, remedy="add a column step or time, or give history=True (--history)")
-    stepped = setting.loads is not None or bool({*along} & {*RUBBING})
-    how = {"stepped": stepped, "timed": "lag" in along}
-    ends = np.cumsum([0, *(len(table.trial_labels) for table in tables)])
-    for name in (*free, *setting.given):
-        if (trial := trial_of(name)) is not None and trial > ends[-1]:
-            what = f"{name} belongs to trial {trial}, but the tables have {ends[-1]}"
-            raise InputError(what, remedy="number the trials of all tables from 1, in their order")
-    courses = [
-        course_of(table, noise, own, short_steps, paths=rows, **how) if rows else None
-        for table, rows, own in zip(tables, paths, starts, strict=True)
-    ]
-    courses = [
-        course and (replace(course[0], number=end + 1 + table.trial[course[0].first_row]), course[1])
-        for end, table, course in zip(ends, tables, courses, strict=False)
-    ]
-    known = [(own, course[0]) for own, course in zip(starts, courses, strict=True) if course]
-    first = [(own, np.asarray(course.readings)[:, 0]) for own, course in known]
-    return courses, first_guesses(first)
-
-
-def _split(
-    noise: Mapping[str, ArrayLike | Noise], tables: Sequence[Measurements]
-) -> tuple[dict[str, ArrayLike | Noise], dict[str, float]]:
-    """The noise of the predicted columns, and that of what was set."""
-    columns = {column for table in tables for column in set_by(table.columns)}
-    columns |= {*map(kind_of_set, columns)} - {column for table in tables for column in table.columns}
-    base = {column: given for column, given in noise.items() if column in columns}
-    for column, given in base.items():
-        if not isinstance(given, Noise):
-            check_numbers(f"noise of {column}", [given])
-        if isinstance(given, Noise) or np.ndim(given) or not np.asarray(given) >= 0:
-            unit = si_unit(dimension_of(kind_of_set(column)))
-            raise InputError(f"noise of {column} must be one standard deviation in {unit}, 0 or more")
-    predicted = {column: given for column, given in noise.items() if column not in base}
-    return predicted, {column: float(np.asarray(given)) for column, given in base.items()}
-
-
-def _trials(table: Measurements) -> tuple[str, ...]:
-    """The labels of trials in which friction may differ; a pulley test has the mean friction of all trials."""
-    return () if "pulling_tension" in table else table.trial_labels
-
-
-def noise_of(
-    groups: Sequence[bench.Group], noise: Mapping[str, ArrayLike | Noise]
-) -> dict[str, ArrayLike | Noise | None]:
-    """By group, the given noise of its column; of one number per row, those of the rows in which the column was read.
-
-    Raises:
-        InputError: for a column that no table holds.
-    """
-    columns = {group.column for group in groups}
-    for column in set(noise) - columns:
-        held = ", ".join(sorted(columns))
-        raise InputError(f"fit: noise is given for {column!r}, which no table holds; they hold {held}")
-    found: dict[str, ArrayLike | Noise | None] = {}
-    for group in groups:
-        given = noise.get(group.column)
-        per_row = given is not None and not isinstance(given, Noise) and np.shape(given) == group.there.shape
-        found[group.label] = np.asarray(given)[group.there] if per_row else given
     return found
 
 
@@ -535,7 +440,7 @@ def _conclude(
         "status": dict.fromkeys(fixed, FIXED),
     }
     found = vars(statistics)
-    trials = [f"{name}: {label}" for name, table in zip(model.names, tables, strict=True) for label in _trials(table)]
+    trials = [f"{name}: {label}" for name, table in zip(model.names, tables, strict=True) for label in trials_of(table)]
     rows = {n: row for n, row in zip(statistics.names, np.eye(len(statistics.names)), strict=True) if n not in own}
     effects = [estimate(statistics.value[n], widened.uncertainty(row[None])) for n, row in rows.items()]
     return Fit(

@@ -222,8 +222,6 @@ class ModelFreeLoop:
     gain_standard_error: float
     loss: float  # g, 1/N: 1/T_tip - 1/T_base of a pull
     loss_standard_error: float
-    zero: float  # N, of the tip cell, if it is fitted too; gain and loss above are those without it
-    zero_p_value: float  # two-sided, of the test that the zero is 0; NaN where the rows do not determine it
     degrees_of_freedom: int
 
     @property
@@ -244,11 +242,6 @@ class ModelFreeLoop:
         ]
         if not low <= 1 <= high:
             lines.append("The two cells do not agree: compare them under one weight, or let tip_gain be free.")
-        if self.zero_p_value < SIGNIFICANT:
-            lines.append(
-                f"One gain does not fit all rows (p = {self.zero_p_value:.2g}): a zero of the tip cell of "
-                f"{self.zero:.2g} N would; check the zeros of the cells, the pretension, and whether the tendon drags."
-            )
         return tuple(lines)
 
     def __str__(self) -> str:
@@ -262,8 +255,7 @@ def model_free_loop(table: Measurements) -> ModelFreeLoop:
     release, only the rows are used in which the whole tendon slides. The noise of the tip cell is estimated from the
     scatter.
 
-    Not checked: one tendon, no loads, no drag, a tendon parallel to the axis, cells without zeros and pretension. The
-    result reports a zero of the tip cell.
+    Not checked: one tendon, no loads, no drag, a tendon parallel to the axis, cells without zeros and pretension.
 
     Args:
         table: with `base_tension` and `tip_tension`.
@@ -278,8 +270,8 @@ def model_free_loop(table: Measurements) -> ModelFreeLoop:
     if pushed or len(set_by(table.columns)) > 1:
         raise InputError(f"{table.name}: a loop without a model needs one tendon and no force on the tip; use fit")
     used = branch = np.where((table["base_tension"] > 0) & (table["tip_tension"] > 0), branches(table), 0.0)
-    loss = _regression(table, branch > 0, branch)[0][1] if np.count_nonzero(branch > 0) >= LEAST_ROWS else 0.0
-    gain, covariance, freedom = 1.0, np.full((3, 3), np.inf), 0
+    loss = _regression(table, branch > 0, branch)[1] if np.count_nonzero(branch > 0) >= LEAST_ROWS else 0.0
+    gain, covariance, freedom = 1.0, np.full((2, 2), np.inf), 0
     for _ in range(ROUNDS):
         last, used = used, np.where((branch > 0) | _has_slid_out(table, loss), branch, 0.0)
         counts = [np.count_nonzero(used == way) for way in (1, -1)]
@@ -288,20 +280,16 @@ def model_free_loop(table: Measurements) -> ModelFreeLoop:
                 f"{table.name}: {counts[0]} rows of the pull and {counts[1]} rows in which all of the tendon slides "
                 f"out; {LEAST_ROWS} of each are needed: release further, or give the order by a column step"
             )
-        (gain, loss, _), covariance, freedom = _regression(table, used != 0, used)
+        gain, loss, covariance, freedom = _regression(table, used != 0, used)
         if np.array_equal(used, last):
             break
-    (_, _, zero), with_zero, freedom_left = _regression(table, used != 0, used, with_zero=True)
-    t = zero / np.sqrt(with_zero[2, 2]) if 0 < with_zero[2, 2] < np.inf else np.nan
     return ModelFreeLoop(
         table=table,
         branch=used,
-        gain=float(gain),
+        gain=gain,
         gain_standard_error=float(np.sqrt(covariance[0, 0])),
-        loss=float(loss),
+        loss=loss,
         loss_standard_error=float(np.sqrt(covariance[1, 1])),
-        zero=float(zero),
-        zero_p_value=float(2 * stdtr(freedom_left, -abs(t))) if freedom_left > 0 else np.nan,
         degrees_of_freedom=freedom,
     )
 
@@ -313,30 +301,21 @@ def _has_slid_out(table: Measurements, loss: float) -> np.ndarray:
     return 1 / np.maximum(table["base_tension"], 1e-300) >= 1 / largest[table.trial] + 2 * max(loss, 0.0)
 
 
-def _regression(
-    table: Measurements, rows: np.ndarray, branch: np.ndarray, *, with_zero: bool = False
-) -> tuple[np.ndarray, np.ndarray, int]:
-    """Gain, loss and zero of T_tip = gain / (1/T_base +- loss) + zero, their covariance, and the degrees of freedom."""
+def _regression(table: Measurements, rows: np.ndarray, branch: np.ndarray) -> tuple[float, float, np.ndarray, int]:
+    """Gain and loss of T_tip = gain / (1/T_base +- loss), their covariance, and the degrees of freedom."""
     inverse, tip, way = 1 / table["base_tension"][rows], table["tip_tension"][rows], branch[rows]
-    count = 2 + with_zero
-    start = np.array([1.0, max(float(np.median(way * (1 / tip - inverse))), 0.0), 0.0])
 
-    def residuals(gain: float, loss: float, zero: float = 0.0) -> np.ndarray:
-        return gain / np.maximum(inverse + way * loss, LEAST_SLACK * inverse) + zero - tip
-
-    def slopes(gain: float, loss: float, zero: float = 0.0) -> np.ndarray:
-        slack = np.maximum(inverse + way * loss, LEAST_SLACK * inverse)
-        return np.stack([1 / slack, -gain * way / slack**2, np.ones(tip.size)], axis=1)[:, :count]
+    def slack(loss: float) -> np.ndarray:
+        return np.maximum(inverse + way * loss, LEAST_SLACK * inverse)
 
     best = least_squares(
-        lambda x: residuals(*x),
-        start[:count],
-        lambda x: slopes(*x),  # pyright: ignore[reportArgumentType]
+        lambda x: x[0] / slack(x[1]) - tip,
+        [1.0, max(float(np.median(way * (1 / tip - inverse))), 0.0)],
+        lambda x: np.stack([1 / slack(x[1]), -x[0] * way / slack(x[1]) ** 2], axis=1),  # pyright: ignore
         method="lm",
         x_scale="jac",
     )
-    found, columns, residual = np.append(best.x, [0.0] * (3 - count)), best.jac, -best.fun
-    covariance, labels = np.full((3, 3), np.inf), independent_labels(table, rows)
-    if np.linalg.matrix_rank(columns) == count:
-        covariance[:count, :count] = jackknife(columns, residual, labels)
-    return found, covariance, int(min(tip.size - count, labels.max()))
+    covariance, labels = np.full((2, 2), np.inf), independent_labels(table, rows)
+    if np.linalg.matrix_rank(best.jac) == 2:
+        covariance = jackknife(best.jac, -best.fun, labels)
+    return float(best.x[0]), float(best.x[1]), covariance, int(min(tip.size - 2, labels.max()))

@@ -129,8 +129,7 @@ def fit_warnings(fit: "Fit") -> list[str]:
         noise = shown(fit.input_noise[label], dimension_of(kind_of_set(label.rpartition(": ")[2])))
         found.append(
             f"{label} was not given a noise; the readings of a row deviate together, as {noise} of noise in it would "
-            f"cause (standard deviation), and the intervals contain it{_following(fit, label)}; give it if you know "
-            "it, 0 for none"
+            "cause (standard deviation), and the intervals contain it; give it if you know it, 0 for none"
         )
     found += [
         f"{name}: what was set has too many levels for an estimate of its noise, and the intervals do not contain it; "
@@ -258,20 +257,6 @@ def merged_in_words(steady: Steady, table: Measurements, column: str) -> str:
     return f" ({'; '.join(levels)}{f'; and {more} more levels' if more > 0 else ''})" if levels else ""
 
 
-def _following(fit: "Fit", label: str) -> str:
-    """In words that the errors of a base cell follow one another, which noise does not do; "" where they do not."""
-    shared, rows = fit.minimum.problem.shared, fit.minimum.outcome.residual[: fit.minimum.problem.num_data]
-    likely = shared.columns[label].T @ np.asarray(shared.whitened(rows))  # the errors of the levels, in their order
-    pairs, square = likely.size - 1, float(likely @ likely)
-    correlation = float(likely[1:] @ likely[:-1]) / square if square > 0 else 0.0
-    if pairs < LEAST_PAIRS or correlation <= ALARM / np.sqrt(pairs):
-        return ""
-    return (
-        f"; but these errors follow one another from level to level (correlation {correlation:.2f}), as a wrong gain, "
-        "zero or model makes them: check the cells and the body"
-    )
-
-
 def _warnings_of_tables(fit: "Fit") -> Iterator[tuple[Measurements, tuple[str, ...]]]:
     for table, experiment in zip(fit.tables, fit.model.experiments, strict=True):
         course = experiment.course if isinstance(experiment, Bench) else None
@@ -281,23 +266,13 @@ def _warnings_of_tables(fit: "Fit") -> Iterator[tuple[Measurements, tuple[str, .
 
 
 def _differ_by_trial(fit: "Fit", group: Group) -> bool:
-    """Whether the residuals of a column differ from trial to trial, and not only by rounding errors."""
-    residual = fit.residuals[group.label]
+    """Whether the means of the residuals of a column differ from trial to trial, and not only by rounding errors."""
+    residual, trial = fit.residuals[group.label], group.table.trial[group.there]
     exact = np.max(np.abs(residual), initial=0.0) <= EXACT * np.max(np.abs(group.observed))
-    trial = group.table.trial[group.there]
-    return "trial" in group.table and not exact and _differ(fit.standardised_residuals[group.label], trial)
-
-
-def _differ(residual: np.ndarray, trial: np.ndarray) -> bool:
-    """Whether means over trials differ, by an analysis of variance of residuals over their noise."""
-    groups = [residual[trial == label] for label in np.unique(trial)]
-    if len(groups) < 2 or min(map(len, groups)) < 2 or not np.all(np.isfinite(residual)):
+    if "trial" not in group.table or exact:
         return False
-    if not any(np.ptp(group) > 0 for group in groups):  # without scatter
-        return len({group[0] for group in groups}) > 1
-    from scipy.stats import f_oneway
-
-    return bool(f_oneway(*groups).pvalue < CHANCE)
+    columns = (trial[:, None] == np.unique(trial)) / noise_of_readings(fit, group)[:, None]
+    return chance_of_more(fit.evidence, fit.standardised_residuals, group.label, columns) < CHANCE
 
 
 def shown_unit(name: str) -> tuple[float, str]:

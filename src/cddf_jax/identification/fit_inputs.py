@@ -1,0 +1,100 @@
+"""What `fit` takes: the course of each table, and the noise of what was set and of what was read."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import ArrayLike
+
+from ..errors import InputError
+from ..estimation.observations import Noise
+from ..measurements.jitter import Steady
+from ..measurements.readings import kind_of_set, set_by
+from ..measurements.table import Measurements
+from ..numerics.given_numbers import check_numbers
+from ..quantities import dimension_of
+from ..robot.manipulator import Manipulator
+from ..units import si_unit
+from .bench import Group
+from .course import Course, course_of, how_followed, paths_of
+from .parameters import BenchSetting, along_a_path, trial_of
+from .tension_before import Before, first_guesses, starts_of
+
+
+def courses_of(
+    manipulator: Manipulator,
+    tables: Sequence[Measurements],
+    history: bool | str | None,
+    before: Before,
+    free: Sequence[str],
+    noise: Mapping[str, float],
+    short_steps: int,
+    setting: BenchSetting,
+) -> tuple[list[tuple[Course, dict[str, Steady]] | None], dict[str, tuple[float, float]]]:
+    """The course of each table, None without a history; guesses of pasts."""
+    paths = [paths_of(table, history) for table in tables]
+    counts = [len(own or ()) for own in paths]
+    starts = starts_of(counts, before, free, manipulator.num_tendons)
+    names = *free, *setting.given
+    along = along_a_path(manipulator, names)
+    for table, rows in zip(tables, paths, strict=True):
+        if along and not rows and "pulling_tension" not in table:
+            what = f"{table.name}: {', '.join(along)} act along a history, and the rows have none"
+            raise InputError(what, remedy="add a column step or time, or give history=True (--history)")
+    how = how_followed(manipulator, names, setting.loads)
+    ends = np.cumsum([0, *(len(table.trial_labels) for table in tables)])
+    for name in names:
+        if (trial := trial_of(name)) is not None and trial > ends[-1]:
+            what = f"{name} belongs to trial {trial}, but the tables have {ends[-1]}"
+            raise InputError(what, remedy="number the trials of all tables from 1, in their order")
+    courses = [
+        course_of(table, noise, own, short_steps, paths=rows, **how) if rows else None
+        for table, rows, own in zip(tables, paths, starts, strict=True)
+    ]
+    courses = [
+        course and (replace(course[0], number=end + 1 + table.trial[course[0].first_row]), course[1])
+        for end, table, course in zip(ends, tables, courses, strict=False)
+    ]
+    known = [(own, course[0]) for own, course in zip(starts, courses, strict=True) if course]
+    first = [(own, np.asarray(course.readings)[:, 0]) for own, course in known]
+    return courses, first_guesses(first)
+
+
+def split_noise(
+    noise: Mapping[str, ArrayLike | Noise], tables: Sequence[Measurements]
+) -> tuple[dict[str, ArrayLike | Noise], dict[str, float]]:
+    """The noise of the predicted columns, and that of what was set."""
+    columns = {column for table in tables for column in set_by(table.columns)}
+    columns |= {*map(kind_of_set, columns)} - {column for table in tables for column in table.columns}
+    base = {column: given for column, given in noise.items() if column in columns}
+    for column, given in base.items():
+        if not isinstance(given, Noise):
+            check_numbers(f"noise of {column}", [given])
+        if isinstance(given, Noise) or np.ndim(given) or not np.asarray(given) >= 0:
+            unit = si_unit(dimension_of(kind_of_set(column)))
+            raise InputError(f"noise of {column} must be one standard deviation in {unit}, 0 or more")
+    predicted = {column: given for column, given in noise.items() if column not in base}
+    return predicted, {column: float(np.asarray(given)) for column, given in base.items()}
+
+
+def trials_of(table: Measurements) -> tuple[str, ...]:
+    """The labels of trials in which friction may differ; a pulley test has the mean friction of all trials."""
+    return () if "pulling_tension" in table else table.trial_labels
+
+
+def noise_of(groups: Sequence[Group], noise: Mapping[str, ArrayLike | Noise]) -> dict[str, ArrayLike | Noise | None]:
+    """By group, the given noise of its column; of one number per row, those of the rows in which the column was read.
+
+    Raises:
+        InputError: for a column that no table holds.
+    """
+    columns = {group.column for group in groups}
+    for column in set(noise) - columns:
+        held = ", ".join(sorted(columns))
+        raise InputError(f"fit: noise is given for {column!r}, which no table holds; they hold {held}")
+    found: dict[str, ArrayLike | Noise | None] = {}
+    for group in groups:
+        given = noise.get(group.column)
+        per_row = given is not None and not isinstance(given, Noise) and np.shape(given) == group.there.shape
+        found[group.label] = np.asarray(given)[group.there] if per_row else given
+    return found
