@@ -22,7 +22,6 @@ from cddf_jax.identification.course import course_of
 from cddf_jax.identification.experiment_design import Candidate
 from cddf_jax.identification.random_effects import errors_of_base
 from cddf_jax.identification.tension_before import Start, first_guesses, starts_of
-from cddf_jax.identification.verdict import merged_in_words
 from cddf_jax.measurements.jitter import turns_of, without_jitter
 from cddf_jax.measurements.table import Measurements
 from cddf_jax.reports.fit_report import fit_as_dict, fit_as_markdown, fit_in_words, make_report
@@ -419,27 +418,6 @@ def test_what_came_before_several_tendons():
 
 
 @pytest.mark.slow
-def test_what_two_tendons_had_before_is_found():
-    """Simulated with 62 N against 20 N before the first row; seed stated before; fitted with fewer increments."""
-    rng, before = np.random.default_rng(20261124), 62.0
-    path = np.stack([[45.0, 30, 50, 75, 45, 15], np.full(6, 20.0)], axis=1)
-    simulated = cddf.trace(PAIR, path, before=[before, 20.0], short_steps=16)
-    read = {"tip_tension": simulated.tip_tension[:, 0], "tip_tension_2": simulated.tip_tension[:, 1]}
-    read = {name: values + CELL * rng.normal(size=6) for name, values in read.items()}
-    read["tip_angle"] = simulated.tip_angle + ANGLE * rng.normal(size=6)
-    columns = {"base_tension": path[:, 0], "base_tension_2": path[:, 1], "step": range(6)}
-    table = Measurements.from_columns("pair", notes=("simulated",), **columns, **read)
-    free = ("friction_coefficient", "youngs_modulus", "before")
-    found = cddf.fit(PAIR, table, free, noise=NOISE | {"tip_tension_2": CELL})
-    assert found.success
-    assert found.status["before"] == "identified"
-    low, high = found.confidence_interval["before"]
-    assert low < before < high
-    assert found.standard_error["before"] < 2.0
-    assert found.model.experiments[0].course.past_in_words == ["fitted (before) and 20 N"]
-
-
-@pytest.mark.slow
 def test_a_loop_of_two_tendons_brings_the_truth_back():
     """Seed stated before; simulated with 16 increments and twice the elements, fitted with 4 from another start."""
     rng, noise = np.random.default_rng(20261123), {"tip_tension": 0.1, "tip_tension_2": 0.1, "tip_angle": ANGLE}
@@ -468,29 +446,35 @@ HEAVY = cddf.Loads(tip_force=(0.0, -0.3), gravity=(0.0, -9.81))
 AS_FITTED = {"nodes": 8, "short_steps": 4}  # of `trace`, with which it has the cells and steps of a fit
 
 
-def heavy(num_tendons=1):
+def heavy():
     """The body with the weight of silicone rubber."""
-    return dataclasses.replace(paper_body("exact", num_tendons=num_tendons), density=1070.0)
+    return dataclasses.replace(paper_body("exact"), density=1070.0)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("num_tendons", [1, 2])
-def test_a_loop_under_gravity(num_tendons):
-    """Simulated by `trace` under loads that rest on the body, without noise: the rows of the fit are those of it.
+def test_what_two_tendons_had_before():
+    """As a `trace` with the same increments that begins there."""
+    path = np.stack([[45.0, 75, 15], np.full(3, 20.0)], axis=1)
+    history = cddf.trace(PAIR, path, before=[62.0, 20.0], **AS_FITTED)
+    columns = {"base_tension": path[:, 0], "base_tension_2": path[:, 1], "step": range(3)}
+    table = Measurements.from_columns("pair", **columns, tip_tension=np.zeros(3), tip_angle=np.zeros(3))
+    course = course_of(table, starts=[Start((None, None), ("before", ""))])[0]
+    assert course.past_in_words == ["fitted (before) and 20 N"]
+    shown = experiment_of(table, PAIR, course=course).predict(PAIR, {"before": np.asarray(62.0)}, 16)
+    np.testing.assert_allclose(shown["tip_tension"], history.tip_tension[:, 0], rtol=1e-9)
+    np.testing.assert_allclose(shown["tip_angle"], history.tip_angle, atol=1e-9)
 
-    The tip force is a column of the table for one tendon, and one of the loads of all rows for two.
-    """
-    body, path = heavy(num_tendons), np.array([[20.0, 60, 35, 15], np.full(4, 10.0)])[:num_tendons].T
+
+@pytest.mark.slow
+def test_a_loop_under_gravity():
+    """Simulated by `trace` under loads that rest on the body, without noise: the rows of the fit are those of it."""
+    body, path = heavy(), np.array([20.0, 60, 35, 15])
     history = cddf.trace(body, path, HEAVY, nodes=8, short_steps=2, throw=False)  # coarse: its error is said
-    names = [f"{name}{end}" for end in ("", "_2")[:num_tendons] for name in ("base_tension", "tip_tension")]
-    numbers = np.stack([path, np.reshape(history.tip_tension, path.shape)], axis=2).reshape(4, -1).T
-    columns = dict(zip(names, numbers, strict=True)) | {"tip_angle": history.tip_angle, "step": range(4)}
-    noise = {name: deviation for name, deviation in (NOISE | {"tip_tension_2": CELL}).items() if name in columns}
-    columns |= {"tip_force_y": np.full(4, -0.3)} if num_tendons == 1 else {}
-    loads = HEAVY if num_tendons == 2 else cddf.Loads(gravity=HEAVY.gravity)
+    columns = {"base_tension": path, "tip_tension": history.tip_tension, "tip_angle": history.tip_angle}
+    table = Measurements.from_columns("bench", **columns, tip_force_y=np.full(4, -0.3), step=range(4))
     start = dataclasses.replace(body, friction_coefficient=0.35, youngs_modulus=1.2e6)
-    options = {"noise": noise, "setting": cddf.BenchSetting(loads=loads), "short_steps": 2}
-    found = cddf.fit(start, Measurements.from_columns("bench", **columns), **options)
+    setting = cddf.BenchSetting(loads=cddf.Loads(gravity=HEAVY.gravity))
+    found = cddf.fit(start, table, noise=NOISE, setting=setting, short_steps=2)
     assert found.value["friction_coefficient"] == pytest.approx(MU, rel=1e-8)
     assert found.value["youngs_modulus"] == pytest.approx(E, rel=1e-8)
     for residual in found.residuals.values():
@@ -609,14 +593,6 @@ def test_the_peak_of_held_samples_stays(noise):
     found = without_jitter(readings, noise).tension
     assert turns_of(found).size == 1
     np.testing.assert_allclose([np.max(found), found[250]], [12.0, 11.5], atol=0.09)
-
-
-def test_rows_that_become_one_level_are_named():
-    """Rows 5 and 6 fall by less than the noise."""
-    tension = LOOP.copy()
-    tension[4:6] = [26.0, 25.9]
-    steady = course_of(table(tension), {"base_tension": 0.5})[1]["base_tension"]
-    assert merged_in_words(steady, table(tension), "base_tension") == " (row 5 to row 6 are 25.95 N)"
 
 
 def test_derivatives_by_base_tensions_follow_the_memory(fitted):

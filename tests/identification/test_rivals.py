@@ -72,16 +72,6 @@ def test_a_curve_without_a_loop_has_no_width(power):
     assert np.mean(loop_widths(data) == 0) > 0.8
 
 
-def test_a_loop_that_runs_backwards_is_refused():
-    """A body that is bent less on the way back than on the way there."""
-    pulled = np.concatenate([np.arange(10.0), np.arange(8.5, 0.0, -1.0)]) * 1e-3
-    angle = 30 * pulled - np.where(np.arange(pulled.size) > 9, 0.02, 0.0)
-    found = fitted(table(angle, pulled))
-    assert not found.success
-    assert "run backwards" in found.result
-    assert "identified" not in found.status.values()
-
-
 @pytest.mark.slow
 def test_tables_that_pull_one_tendon_of_three():
     """Each table by its own tendon; the others hang slack. All numbers are those that the data were made with."""
@@ -102,13 +92,3 @@ def test_tables_that_pull_one_tendon_of_three():
     assert found.success
     for name, truth in zip(free, (0.3, 5e-4, 5e-4), strict=True):
         assert abs(found.value[name] - truth) < 0.3 * found.standard_error[name] + 0.02 * abs(truth)
-
-
-@pytest.mark.slow
-def test_residuals_of_neighbours_that_are_alike_are_told():
-    """With an error that swings slowly along the path, of six times the noise; its correlation is that of a sine."""
-    angle = np.asarray(cddf.trace(robot(0.3), cddf.Displacement(PULLED)).tip_angle)
-    assert not [one for one in fitted(table(angle)).remarks if "neighbouring" in one]
-    swing = 6 * NOISE * np.sin(0.4 * np.arange(PULLED.size))
-    (said,) = (one for one in fitted(table(angle + swing)).remarks if "neighbouring" in one)
-    assert 0.66 < float(said.partition("correlation ")[2].partition(")")[0]) < 0.98  # cos(0.4) = 0.92

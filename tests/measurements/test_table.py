@@ -5,7 +5,7 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
+from hypothesis import given, settings, strategies as st
 from hypothesis.extra import numpy as hnp
 from refusals import refused
 
@@ -81,6 +81,7 @@ def test_dialects_of_csv(tmp_path, text):
     assert table["tip_tension"].tolist() == [4.79, 9.19]
 
 
+@settings(max_examples=25)
 @given(hnp.arrays(np.float64, (7, 2), elements=st.floats(0, 1e300)))
 def test_numbers_are_read_to_the_last_bit(tmp_path_factory, values):
     path = tmp_path_factory.getbasetemp() / "exact.csv"

@@ -145,7 +145,7 @@ def _steady(values: list[float], noise: str) -> list[float]:
     """Tensions of a cell without its jitter."""
     import numpy as np
 
-    from ..measurements.jitter import merged_levels, without_jitter
+    from ..measurements.jitter import without_jitter
     from ..units import quantity
 
     deviation = quantity(noise, "force", "--noise")
@@ -153,6 +153,4 @@ def _steady(values: list[float], noise: str) -> list[float]:
         raise InputError(f"--noise {noise}: give a standard deviation above 0 N, or leave it out")
     found = without_jitter(np.array(values), deviation)
     options.note([f"{found.num_ignored} turns of the base tension are taken for jitter and left out"])
-    levels = merged_levels(np.array(values), found.tension)[:4]
-    options.note(f"steps {one.first + 1} to {one.last + 1} become {one.tension:.5g} N" for one in levels)
     return np.maximum(found.tension, 0.0).tolist()

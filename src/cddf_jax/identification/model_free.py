@@ -40,7 +40,6 @@ class Constancy(NamedTuple):
 
     slope: float  # 1/N
     standard_error: float
-    t: float
     p_value: float  # two-sided
     degrees_of_freedom: int
 
@@ -162,13 +161,13 @@ def _constancy(base: np.ndarray, angle: np.ndarray, residual: np.ndarray, labels
     """The slope b of mu = a + b T_base, from the residuals of the pooled value, with its test."""
     freedom = int(min(base.size - 2, labels.max()))
     if freedom <= 0 or np.ptp(base) <= ONE_LEVEL * base.max():
-        return Constancy(np.nan, np.nan, np.nan, np.nan, freedom)
+        return Constancy(np.nan, np.nan, np.nan, freedom)
     regressor = angle * (base - np.average(base, weights=angle**2))
     slope = float(np.sum(regressor * residual) / np.sum(regressor**2))
     columns = np.stack([angle, regressor], axis=1)
     error = float(np.sqrt(jackknife(columns, residual - slope * regressor, labels)[1, 1]))
     t = slope / error if 0 < error < np.inf else np.nan
-    return Constancy(slope, error, t, float(2 * stdtr(freedom, -abs(t))), freedom)
+    return Constancy(slope, error, float(2 * stdtr(freedom, -abs(t))), freedom)
 
 
 def jackknife(columns: np.ndarray, residual: np.ndarray, labels: np.ndarray) -> np.ndarray:

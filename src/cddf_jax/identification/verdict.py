@@ -11,7 +11,7 @@ from ..estimation.remarks import EXACT, chance_of_more
 from ..estimation.whole_search import INTERRUPTED
 from ..measurements.columns import is_reading
 from ..measurements.holds import ALARM, LEAST_PAIRS
-from ..measurements.jitter import Steady, merged_levels
+from ..measurements.jitter import Steady
 from ..measurements.left_out import CONTRADICTED, as_leave_out, named_rows, rows_in_words, sources
 from ..measurements.readings import kind_of_set, of_shape, set_by, tendon_number
 from ..measurements.table import Measurements
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 INCOMPRESSIBLE = 0.5  # Poisson's ratio of a material that does not change its volume
 LARGEST_FRICTION = 2.0  # a larger coefficient gives a warning
 CHANCE = 1e-3  # p-value below which residuals drift, or differ from trial to trial
-SHOWN = 4  # levels that a warning names
 LARGEST_MOVE = 0.5  # standard errors; a larger error by increments gives a warning
 MOST_ALIKE = 0.999  # a correlation of neighbours that is counted; at 1 nothing would be known
 LEAST_RESIDUAL = 0.1  # over the noise; smaller residuals that are alike make no error too small
@@ -120,7 +119,7 @@ def fit_warnings(fit: "Fit") -> list[str]:
         if (slack := {*range(1, fit.manipulator.num_tendons + 1)} - {*map(tendon_number, set_by(table.columns))})
     ]
     found += [
-        _jitter_in_words(name, table, column, steady)
+        _jitter_in_words(name, column, steady)
         for name, table, _ in benches
         for column in set_by(table.columns)
         if (steady := fit.without_jitter.get(f"{name}: {column}")) and steady.num_ignored
@@ -234,27 +233,13 @@ def neighbours_in_words(correlation: float) -> str:
     )
 
 
-def _jitter_in_words(name: str, table: Measurements, column: str, steady: Steady) -> str:
+def _jitter_in_words(name: str, column: str, steady: Steady) -> str:
     """What was ignored of a column as noise."""
     noise, least = (shown(size, dimension_of(kind_of_set(column))) for size in (steady.noise, steady.least_turn))
     return (
         f"{name}: {column} jitters by {noise} (standard deviation), and {steady.num_ignored} of its turns of {least} "
-        f"or less are taken for noise{merged_in_words(steady, table, column)}; if they are real, give the noise of "
-        f"{column}"
+        f"or less are taken for noise; if they are real, give the noise of {column}"
     )
-
-
-def merged_in_words(steady: Steady, table: Measurements, column: str) -> str:
-    """Which rows became one level of what was set."""
-    runs = (
-        (rows[one.first], rows[one.last], one.tension)
-        for rows in table.trials
-        for one in merged_levels(table[column][rows], steady.tension[rows])
-    )
-    unit = dimension_of(kind_of_set(column))
-    every = [f"{table.place(first)} to {table.place(last)} are {shown(level, unit)}" for first, last, level in runs]
-    levels, more = every[:SHOWN], len(every) - SHOWN
-    return f" ({'; '.join(levels)}{f'; and {more} more levels' if more > 0 else ''})" if levels else ""
 
 
 def _warnings_of_tables(fit: "Fit") -> Iterator[tuple[Measurements, tuple[str, ...]]]:

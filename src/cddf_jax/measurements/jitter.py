@@ -19,14 +19,6 @@ FEW = 4  # rows: with a stated noise the mean of so few is not taken, as it may 
 STEP = 3.0  # standard deviations between the means before and after a step within a hold
 
 
-class Level(NamedTuple):
-    """A run of different readings that became one tension."""
-
-    first: int  # row, from 0
-    last: int
-    tension: float  # N
-
-
 class Steady(NamedTuple):
     """Readings of a base tension without their jitter."""
 
@@ -115,13 +107,6 @@ def _split(readings: np.ndarray, holds: np.ndarray, noise: float) -> np.ndarray:
             new[step] = True
             parts += [(start, step), (step, end)]
     return np.cumsum(new) - 1
-
-
-def merged_levels(readings: np.ndarray, tension: np.ndarray) -> list[Level]:
-    """The runs of different readings of one trial that became one tension."""
-    ends = np.flatnonzero(np.append(True, np.diff(tension) != 0)).tolist()
-    runs = (Level(first, end - 1, float(tension[first])) for first, end in pairwise([*ends, tension.size]))
-    return [run for run in runs if np.ptp(readings[run.first : run.last + 1]) > 0]
 
 
 def _small_ways_back(level: np.ndarray) -> float:
