@@ -8,7 +8,7 @@ from scipy import stats
 from test_fit import LEVELS, MU, E, closed_form, wrap
 
 import cddf_jax as cddf
-from cddf_jax.identification.bench import Bench, experiment_of
+from cddf_jax.identification.bench import Bench, BenchModel, experiment_of
 from cddf_jax.identification.parameters import (
     OF_SPACE,
     OF_STRETCH,
@@ -18,6 +18,7 @@ from cddf_jax.identification.parameters import (
     unit_of,
     with_parameters,
 )
+from cddf_jax.identification.predictions import beyond_the_data
 from cddf_jax.identification.tension_before import is_past
 from cddf_jax.measurements.table import Measurements
 
@@ -74,19 +75,6 @@ def test_what_the_cells_read(paper):
     read = jax.jit(lambda p: bench.predict(paper, p, 16))(errors | {"angle_zero": 0.01})
     np.testing.assert_allclose(read["tip_tension"], 1.1 * (closed_form(tension) - 2.0) - 0.3, rtol=1e-7)
     np.testing.assert_allclose(read["tip_angle"], wrap(tension) + 0.01, rtol=1e-7)
-
-
-@pytest.mark.slow
-def test_the_base_cell_and_pretension(paper):
-    """base_gain scales the given base tensions; where the base cell reads 2 % too much, the true tension is smaller."""
-    table = readings(2)
-    told = dict(table.columns) | {"base_tension": 1.02 * table["base_tension"] + 0.5}
-    table = Measurements.from_columns("bench", **told)
-    priors = {"base_gain": (1.0, 0.03), "base_zero": (0.0, 1.0)}
-    found = cddf.fit(paper, table, (*BOTH, *priors), priors, noise=NOISE)
-    within(found, friction_coefficient=MU, youngs_modulus=E, base_gain=1.02, base_zero=0.5)
-    found = cddf.fit(paper, readings(3, pretension=2.0), (*BOTH, "pretension"), noise=NOISE)
-    within(found, friction_coefficient=MU, youngs_modulus=E, pretension=2.0)
 
 
 @pytest.mark.slow
@@ -166,54 +154,6 @@ def test_trials_that_do_not_differ(paper):
 
 
 @pytest.mark.slow
-def test_a_drag_that_the_data_ask_for(paper):
-    """T' = -(mu psi' T + w): readings of the solver with a drag, fitted with and without one."""
-    dragged = with_parameters(paper, {"drag": 15.0})
-    solved = [cddf.solve(dragged, pull) for pull in LEVELS]
-    tip = np.array([float(x.tip_tension[0]) for x in solved])
-    angle = np.array([float(x.tip_angle) for x in solved])
-    rng = np.random.default_rng(8)
-    table = Measurements.from_columns(
-        "bench",
-        base_tension=BASE,
-        tip_tension=np.tile(tip, 6) + CELL * rng.normal(size=BASE.size),
-        tip_angle=np.tile(angle, 6) + ANGLE * rng.normal(size=BASE.size),
-        trial=TRIAL,
-    )
-    without = cddf.fit(paper, table, noise=NOISE)
-    found = cddf.fit(paper, table, (*BOTH, "drag"), noise=NOISE)
-    within(found, friction_coefficient=MU, youngs_modulus=E, drag=15.0)
-    assert found.status["drag"] == "identified"
-    for criterion in ("AIC", "BIC"):
-        assert found.information_criteria[criterion] < without.information_criteria[criterion] - 10
-
-
-@pytest.mark.slow
-def test_a_known_tip_force_is_part_of_the_model(paper):
-    """Readings of `solve` under -1 N across the tip, which SciPy confirms in test_loads."""
-    levels = LEVELS[::2]
-    solved = [cddf.solve(paper, pull, cddf.Loads(tip_force=(0.0, -1.0))) for pull in levels]
-    table = Measurements.from_columns(
-        "bench",
-        base_tension=levels,
-        tip_tension=[float(x.tip_tension[0]) for x in solved],
-        tip_angle=[float(x.tip_angle) for x in solved],
-        tip_force_x=0 * levels,
-        tip_force_y=0 * levels - 1.0,
-    )
-    found = cddf.fit(with_parameters(paper, {"friction_coefficient": 0.3, "youngs_modulus": 1.2e6}), table, noise=NOISE)
-    assert found.value["friction_coefficient"] == pytest.approx(MU, rel=1e-5)
-    assert found.value["youngs_modulus"] == pytest.approx(E, rel=1e-5)
-
-    there = found.predict("tip_angle", levels[[0, 2]], tip_force=(0.0, -1.0))
-    np.testing.assert_allclose(there.value, table["tip_angle"][[0, 2]], rtol=1e-5)
-    np.testing.assert_array_less(there.half_width, 2.0 * NOISE["tip_angle"])  # less than the noise of one reading
-    assert not np.any(there.extrapolated)
-    force = np.array([(0.0, -1.0), (0.0, -1.1), (0.1, -1.0)])
-    assert found.predict("tip_angle", np.full(3, levels[0]), force).extrapolated.tolist() == [False, True, True]
-
-
-@pytest.mark.slow
 def test_every_parameter_reaches_the_readings(paper):
     """Each parameter of a bench with one tendon changes what is read, by a derivative that differences confirm.
 
@@ -237,6 +177,14 @@ def test_every_parameter_reaches_the_readings(paper):
             )
             size = np.maximum(size, np.abs(difference))
         assert np.all(size > 0), name
+
+
+def test_which_rows_lie_beyond_the_data(paper):
+    """By hand, in base tension and in either component of the tip force."""
+    data = Bench(np.array([[10.0], [40.0]]), (None,), np.array([(0.0, -1.0), (0.0, -1.0)]))
+    force = np.array([(0.0, -1.0), (0.0, -1.1), (0.1, -1.0), (0.0, -1.0)])
+    wanted = Bench(np.array([[20.0], [20.0], [20.0], [41.0]]), (None,), force)
+    assert beyond_the_data(wanted, BenchModel(paper, (data,), 16)).tolist() == [False, True, True, True]
 
 
 def test_which_rows_lie_on_one_curve(paper):

@@ -16,7 +16,6 @@ from refusals import refused
 import cddf_jax as cddf
 from cddf_jax.cli.options import read_columns, read_data
 from cddf_jax.errors import InputError
-from cddf_jax.figures.fit import draw_residuals
 from cddf_jax.measurements.table import Measurements, read_measurements
 from cddf_jax.measurements.trials import read_tables, trials_together
 
@@ -352,5 +351,3 @@ def test_the_other_readings_of_a_row_count():
         np.testing.assert_allclose(one.standard_error[name], other.standard_error[name], rtol=1e-5)
     assert one.residuals["gap: tip_tension"].shape == (3,)
     assert one.clusters["gap: tip_tension"][1].tolist() == [0, 1, 3]
-    assert np.isfinite(one.mean_relative_error)
-    assert draw_residuals(one, column="tip_tension") is not None
