@@ -10,7 +10,7 @@ from places import DATA
 import cddf_jax as cddf
 
 PAPER, LOAD_CELLS = (DATA / name for name in ("smooth_sil_940.toml", "load_cells_simulated.csv"))
-ANGLES = cddf.Candidate("angles", {"base_tension": [20.0, 40.0, 60.0]}, {"tip_angle": np.radians(1.0)}, 2, 1.5)
+ANGLES = cddf.Candidate("angles", {"base_tension": [20.0, 40.0, 60.0]}, {"tip_angle": np.radians(1.0)}, 1.5)
 DRUM = cddf.Candidate("pulley", {"wrap_angle": np.radians([90, 180]), "weight": 10.0}, {"pulling_tension": 0.5})
 
 

@@ -118,14 +118,6 @@ def test_added_to_a_fit_the_errors_are_those_of_the_fit_of_both():
         assert ratio == pytest.approx(1.0, abs=0.1)
 
 
-def test_repeats_count():
-    once, four = (Candidate("p", PULLEY.conditions, PULLEY.noise, n) for n in (1, 4))
-    plan = cddf.plan(paper_body("exact"), [once, four], num=1)
-    four, once = plan.ranking
-    error = "friction_coefficient"
-    assert four.expected.standard_error[error] == pytest.approx(once.expected.standard_error[error] / 2, rel=1e-12)
-
-
 def test_a_prior_counts():
     prior = {"friction_coefficient": (MU, 0.02)}
     plan = cddf.plan(paper_body("exact"), [TENSIONS], priors=prior, num=1)
@@ -162,8 +154,6 @@ def test_refusals(change, message):
 def test_a_candidate_that_reads_nothing():
     with pytest.raises(InputError, match="noise must name what is read"):
         Candidate("x", {"base_tension": 1.0}, {})
-    with pytest.raises(InputError, match="repeats"):
-        Candidate("x", {"base_tension": 1.0}, {"tip_angle": 0.1}, repeats=0)
 
 
 @pytest.mark.slow

@@ -50,14 +50,12 @@ class Candidate:
         conditions: columns that are set in an experiment on a manipulator or in a pulley test, SI; numbers, or lists
             of one length. With a column `step` they are set in this order, from rest.
         noise: standard deviation of each column that is read, SI, or `Noise(floor, fraction)` of the reading.
-        repeats: how often the whole experiment is done.
         cost: of the whole experiment, for instance in hours; candidates are ranked by gain per cost.
     """
 
     name: str
     conditions: Mapping[str, ArrayLike | Sequence[ArrayLike]]
     noise: Mapping[str, float | Noise]
-    repeats: int = 1
     cost: float = 1.0
 
     def __post_init__(self):
@@ -66,8 +64,6 @@ class Candidate:
         known = all(not isinstance(noise, Noise) or None not in noise for noise in self.noise.values())
         if not self.noise or not known or not all(_deviation(noise, 1.0) > 0 for noise in self.noise.values()):
             raise InputError(f"candidate {self.name!r}: noise must name what is read, with standard deviations > 0")
-        if self.repeats < 1:
-            raise InputError(f"candidate {self.name!r}: repeats must be 1 or more, got {self.repeats}")
         if not 0 < self.cost < np.inf:
             raise InputError(f"candidate {self.name!r}: cost must be a number > 0, got {self.cost}")
 
@@ -245,7 +241,7 @@ def _rows(
     deviations = [_deviation(candidate.noise[column], values[column])[:, None] for column in experiment.columns]
     with np.errstate(divide="ignore", invalid="ignore"):  # a reading of 0 whose noise has no floor counts as nothing
         scaled = [slopes[column] * size / s for column, s in zip(experiment.columns, deviations, strict=True)]
-    rows = np.concatenate(scaled) * np.sqrt(candidate.repeats)
+    rows = np.concatenate(scaled)
     return np.where(np.isfinite(rows), rows, 0.0), tuple(warnings)
 
 

@@ -251,13 +251,23 @@ def _warnings_of_tables(fit: "Fit") -> Iterator[tuple[Measurements, tuple[str, .
 
 
 def _differ_by_trial(fit: "Fit", group: Group) -> bool:
-    """Whether the means of the residuals of a column differ from trial to trial, and not only by rounding errors."""
-    residual, trial = fit.residuals[group.label], group.table.trial[group.there]
+    """Whether the residuals of a column differ from trial to trial, and not only by rounding errors."""
+    residual = fit.residuals[group.label]
     exact = np.max(np.abs(residual), initial=0.0) <= EXACT * np.max(np.abs(group.observed))
-    if "trial" not in group.table or exact:
+    trial = group.table.trial[group.there]
+    return "trial" in group.table and not exact and _differ(fit.standardised_residuals[group.label], trial)
+
+
+def _differ(residual: np.ndarray, trial: np.ndarray) -> bool:
+    """Whether means over trials differ, by an analysis of variance of residuals over their noise."""
+    groups = [residual[trial == label] for label in np.unique(trial)]
+    if len(groups) < 2 or min(map(len, groups)) < 2 or not np.all(np.isfinite(residual)):
         return False
-    columns = (trial[:, None] == np.unique(trial)) / noise_of_readings(fit, group)[:, None]
-    return chance_of_more(fit.evidence, fit.standardised_residuals, group.label, columns) < CHANCE
+    if not any(np.ptp(group) > 0 for group in groups):  # without scatter
+        return len({group[0] for group in groups}) > 1
+    from scipy.stats import f_oneway
+
+    return bool(f_oneway(*groups).pvalue < CHANCE)
 
 
 def shown_unit(name: str) -> tuple[float, str]:
