@@ -145,9 +145,9 @@ def test_prior_only_is_said(with_prior):
 
 
 def test_warnings_have_their_section(paper):
-    one = Measurements.from_columns("drum", weight=[5.0], wrap_angle=[1.0], pulling_tension=[8.0])
+    one = Measurements.from_columns("drum", weight=[5.0], wrap_angle=[40.0], pulling_tension=[8.0])
     fit = cddf.fit(paper, one, noise={"pulling_tension": 0.1})
-    assert "## Warnings\n\n- youngs_modulus did not move" in words_of(fit)
+    assert "## Warnings\n\n- drum: rows with wrap_angle beyond 5 turn(s)" in words_of(fit)
     assert "simulated" not in words_of(fit)
 
 
