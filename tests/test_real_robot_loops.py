@@ -29,4 +29,6 @@ def test_a_friction_moment_explains_a_loop_and_the_other_robot_is_refused():
     assert found.success
     assert STUDY.misfit(found) < 1.5e-3
     assert 0.7e-3 < found.value["friction_moment"] / float(body.stiffness(0.0)) / 1e3 < 1.0e-3
+    (off,) = found.tip_misfits.values()
+    assert off.across < off.in_plane < STUDY.misfit(found)
     assert "run backwards" in STUDY.refusal()

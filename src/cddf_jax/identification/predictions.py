@@ -31,6 +31,8 @@ SPANNED = 1e-9  # of the largest tension or force: rows as close to the range of
 GRID = 100  # points of a curve
 
 Numbers = ArrayLike | Sequence[float] | Sequence[Sequence[float]]
+TIP = ("tip_x", "tip_y", "tip_z")
+FLAT = 0.1  # scatter of places across a plane over the smaller one within it, below which they count as in a plane
 
 
 class Prediction(NamedTuple):
@@ -144,6 +146,38 @@ def moved_by_finer_steps(fit: "Fit") -> dict[str, float]:
         over = np.abs(moved) / spectrum.relative_error
     own = zip(fit.names, over.tolist(), strict=True)
     return {name: value for name, value in own if not name.startswith(TRIALS)} if found else {}
+
+
+class TipMisfit(NamedTuple):
+    """Root mean squares of the distance between read and predicted places of the tip, m."""
+
+    in_plane: float  # in the plane in which the body bends
+    across: float  # at right angles to it
+
+
+def tip_misfits(fit: "Fit") -> dict[str, TipMisfit]:
+    """By table of a body in space whose tip bends in one plane, how far its places are off in this plane and across it.
+
+    The plane is the one nearest to all predicted places.
+    """
+    found = {}
+    for name in fit.model.names:
+        groups = {group.column: group for group in fit.groups if group.name == name}
+        if not {*TIP} <= {*groups}:
+            continue
+        every = np.all([groups[column].there for column in TIP], axis=0)
+        off, read = (
+            np.stack([of[groups[column].label][every[groups[column].there]] for column in TIP], axis=1)
+            for of in (fit.residuals, {group.label: group.observed for group in groups.values()})
+        )
+        place = read - off
+        if not np.all(np.isfinite(place)):
+            continue
+        _, sizes, axes = np.linalg.svd(place - place.mean(axis=0), full_matrices=False)
+        if len(place) > 3 and sizes[2] < FLAT * sizes[1]:
+            across = np.mean((off @ axes[2]) ** 2)
+            found[name] = TipMisfit(float(np.sqrt(np.mean(np.sum(off**2, axis=1)) - across)), float(np.sqrt(across)))
+    return found
 
 
 def noise_of_readings(fit: LeastSquaresFit, group: Group) -> np.ndarray:
