@@ -376,6 +376,7 @@ def test_rows_that_were_each_pulled_from_rest():
     assert any("each row was followed from rest, with all that was set in proportion" in one for one in found.warnings)
 
 
+@pytest.mark.slow
 def test_misfits_in_the_plane_of_bending_and_across_it():
     """Places that are off by 1 mm at right angles to the plane of a turned tendon, and by 0.5 mm along the base."""
     angle = 0.5

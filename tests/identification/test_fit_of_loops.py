@@ -631,7 +631,6 @@ def test_the_report_shows_what_the_release_adds(fitted):
     assert (
         "## Standard errors of the pull alone, and with the way back\n\n- friction_coefficient: 1.4 %, 0.27 %" in text
     )
-    assert "bench: 1/T_tip - 1/T_base of a pull = 0.008828" in text
     answer = fit_as_dict(report)
     assert answer["pull_alone"]["standard_error"] == fitted.pull_alone.standard_error
     assert "friction_coefficient: 1.4 %, 0.27 %" in fit_in_words(report)
