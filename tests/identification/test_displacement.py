@@ -11,7 +11,8 @@ from refusals import refused
 import cddf_jax as cddf
 from cddf_jax.identification.bench import experiment_of
 from cddf_jax.identification.course import course_of, paths_of
-from cddf_jax.identification.parameters import of_all_tendons, slack_offsets
+from cddf_jax.identification.fit_inputs import courses_of
+from cddf_jax.identification.parameters import BenchSetting, of_all_tendons, slack_offsets
 from cddf_jax.measurements.table import Measurements
 
 D, MU, MODULUS, COMPLIANCE = 0.009, 0.3, 1.4e6, 2e-5  # m, 1, Pa, m/N
@@ -212,10 +213,14 @@ def test_slack_offsets_of_trials():
     known = {"slack_offset": 1.0, "slack_offset_2": 2.0, "slack_offset_trial_1": 3.0, "slack_offset_2_trial_3": 4.0}
     assert slack_offsets(known, 2, jnp.array([0, 1, 2, 3])).tolist() == [[1, 2], [3, 3], [1, 2], [1, 4]]
     one = Measurements.from_columns("bench", displacement=[0.0, 1e-3], tip_angle=[0.0, 0.1], trial=[0, 0], step=[0, 1])
-    assert refused(cddf.fit, guess(), [one, one], ["slack_offset_trial_3"]) == (
-        "fit: slack_offset_trial_3 belongs to trial 3, but the tables have 2; number the trials of all tables from 1, "
-        "in their order"
-    )
+    plain = Measurements.from_columns("bench", displacement=[0.0, 1e-3], tip_angle=[0.0, 0.1], step=[0, 1])
+    for tables in ([one, one], [plain, one]):  # a table without trials is one
+        assert refused(cddf.fit, guess(), tables, ["slack_offset_trial_3"]) == (
+            "fit: slack_offset_trial_3 belongs to trial 3, but the tables have 2; number the trials of all tables from "
+            "1, in their order"
+        )
+    courses, _ = courses_of(guess(), [plain, one], None, "rest", ["slack_offset_trial_1"], {}, 4, BenchSetting())
+    assert [course[0].number.tolist() for course in courses if course] == [[1], [2]]
 
 
 @pytest.mark.slow

@@ -42,7 +42,7 @@ def courses_of(
             what = f"{table.name}: {', '.join(along)} act along a history, and the rows have none"
             raise InputError(what, remedy="add a column step or time, or give history=True (--history)")
     how = how_followed(manipulator, names, setting.loads)
-    ends = np.cumsum([0, *(len(table.trial_labels) for table in tables)])
+    ends = np.cumsum([0, *(len(table.trial_labels) or 1 for table in tables)])  # a table without trials is one
     for name in names:
         if (trial := trial_of(name)) is not None and trial > ends[-1]:
             what = f"{name} belongs to trial {trial}, but the tables have {ends[-1]}"
