@@ -40,8 +40,6 @@ ON_DEMAND = {
 }
 # named in annotations only: functions of a class whose methods call them
 IN_ANNOTATIONS = {
-    ("measurements/table_warnings", "measurements/table"),
-    ("estimation/remarks", "estimation/least_squares"),
     ("identification/camera", "identification/fit"),
     ("identification/predictions", "identification/fit"),
     ("identification/verdict", "identification/fit"),

@@ -8,6 +8,7 @@ from places import DATA
 from scipy.integrate import quad
 
 from cddf_jax.measurements.table import read_measurements
+from cddf_jax.measurements.table_warnings import warnings_of
 
 NAMES = ("load_cells_simulated.csv", "loop_simulated.csv", "pulley_simulated.csv", "tip_angle_simulated.csv")
 
@@ -66,7 +67,7 @@ def test_every_file_says_what_it_is(name):
     assert table.simulated
     assert notes.startswith("SIMULATED, not measured: written by data/make_simulated.py, random seed (2020, ")
     assert all(word in notes for word in ("Truth: ", "mu 0.42", "Noise, normal: "))
-    assert table.warnings == ()
+    assert warnings_of(table, in_order=table.ordered) == ()
 
 
 def test_load_cells_are_true():

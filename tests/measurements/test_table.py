@@ -11,6 +11,7 @@ from refusals import refused
 
 from cddf_jax.errors import InputError
 from cddf_jax.measurements.table import Measurements, read_measurements
+from cddf_jax.measurements.table_warnings import warnings_of
 from cddf_jax.measurements.trials import repeated_tables
 
 PAIRS = """base_tension [N], tip_tension [N]
@@ -213,7 +214,8 @@ TWO = {"base_tension": [9, 8], "base_tension_2": [10, 20]}
     ],
 )  # fmt: skip
 def test_warnings(columns, warning):
-    found = Measurements.from_columns(**columns).warnings
+    table = Measurements.from_columns(**columns)
+    found = warnings_of(table, in_order=table.ordered)
     assert len(found) == (warning is not None)
     assert warning is None or warning in found[0]
 

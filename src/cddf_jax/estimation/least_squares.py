@@ -82,8 +82,8 @@ class LeastSquaresFit(Determination):
             return ()
         return (
             *([self.restarted] if self.restarted else []),
-            *remarks_on_parameters(self),
-            *remarks_on_residuals(self),
+            *remarks_on_parameters(self.evidence, self.place),
+            *remarks_on_residuals(self.evidence, self.minimum, self.place),
         )
 
     def place(self, group: str, k: int) -> str:

@@ -1,7 +1,6 @@
 """Remarks of a fit on its parameters and residuals."""
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from scipy.special import chdtrc, fdtrc, ndtr, stdtr
@@ -9,9 +8,6 @@ from scipy.special import chdtrc, fdtrc, ndtr, stdtr
 from .evidence import Evidence
 from .levenberg_marquardt import UNEXPLAINED, Minimum
 from .parameter_space import TINY
-
-if TYPE_CHECKING:
-    from .least_squares import LeastSquaresFit
 
 OUTLIER_CHANCE = 0.01
 WITHIN = 3.0  # standard deviations: data farther away do not decide whether a model explains the others
@@ -24,9 +20,12 @@ FEW = 2.5  # degrees of freedom of a noise estimate
 ONE_DATUM = 0.5  # of a parameter's variance; one datum should not determine more
 
 
-def remarks_on_parameters(fit: "LeastSquaresFit") -> list[str]:
+Place = Callable[[str, int], str]  # of the k-th datum of a group in words, k from 0
+
+
+def remarks_on_parameters(evidence: Evidence, place: Place) -> list[str]:
     """Remarks on parameters at a bound, without effect, or determined mostly by one datum."""
-    evidence, jacobian, found = fit.evidence, fit.evidence.jacobian, []
+    jacobian, found = evidence.jacobian, []
     covariance = evidence.spectrum.covariance
     share = (covariance @ jacobian.T) ** 2 / np.maximum(np.diag(covariance), TINY)[:, None]
     data = [(name, k) for name, rows in evidence.rows.items() for k in range(len(rows))]
@@ -42,16 +41,16 @@ def remarks_on_parameters(fit: "LeastSquaresFit") -> list[str]:
         elif len(data) > 2 * len(evidence.space.names) and np.max(share[i, : len(data)]) > ONE_DATUM:
             k = int(np.argmax(share[i, : len(data)]))
             found.append(
-                f"{name} depends on one datum, {fit.place(*data[k])}, for {100 * share[i, k]:.0f} % of its variance"
+                f"{name} depends on one datum, {place(*data[k])}, for {100 * share[i, k]:.0f} % of its variance"
             )
     return found
 
 
-def remarks_on_residuals(fit: "LeastSquaresFit") -> list[str]:
+def remarks_on_residuals(evidence: Evidence, minimum: Minimum, place: Place) -> list[str]:
     """Remarks on groups that are met exactly or hardly explained, outliers, noise with few degrees of freedom."""
-    evidence, (problem, outcome) = fit.evidence, fit.minimum
+    problem, outcome = minimum
     found, residuals, spectrum = [], problem.by_group(outcome.residual), evidence.spectrum
-    unexplained = unexplained_groups(evidence, fit.minimum)
+    unexplained = unexplained_groups(evidence, minimum)
     for i, (name, rows) in enumerate(evidence.rows.items()):
         residual, values, noise = residuals[i], np.ravel(problem.data.values[i]), np.ravel(problem.data.noise[i])
         estimated = evidence.noise_estimated[name]
@@ -74,7 +73,7 @@ def remarks_on_residuals(fit: "LeastSquaresFit") -> list[str]:
             if far:
                 k, count = far
                 others = f" (and {count - 1} more)" if count > 1 else ""
-                found.append(f"{fit.place(name, k)} lies far off the model{others}: check it, or use a robust loss")
+                found.append(f"{place(name, k)} lies far off the model{others}: check it, or use a robust loss")
     return found
 
 

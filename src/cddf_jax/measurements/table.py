@@ -74,7 +74,6 @@ from .marker_table import NO_MARKERS, of_markers, read_marker_table
 from .markers import Marker
 from .order import ORDER, check_order, order_of
 from .readings import kind_of, set_by
-from .table_warnings import warnings_of
 
 _FROM_CELLS = ("base_tension", "tip_tension", "pulling_tension")
 _NEVER_NEGATIVE = (*_FROM_CELLS, *PULLEY)
@@ -197,11 +196,6 @@ class Measurements:
         trial = int(self.trial[row])
         file = self.files[trial]
         return file if self.files.count(file) == 1 else self.trial_labels[trial]
-
-    @cached_property
-    def warnings(self) -> tuple[str, ...]:
-        """Warnings for the report about data that can be used."""
-        return warnings_of(self, in_order=self.ordered)
 
     @cached_property
     def checksum(self) -> str:

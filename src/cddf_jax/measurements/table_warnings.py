@@ -2,14 +2,11 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .readings import set_by
-
-if TYPE_CHECKING:
-    from .table import Measurements
+from .table import Measurements
 
 _TIP_ABOVE_BASE = 1.05  # times the base tension, plus
 _ZERO_ERROR = 0.005  # times the largest base tension: a tip tension above this sum is reported
@@ -17,7 +14,7 @@ ONE_LEVEL = 0.01  # base tensions that vary by less, relative to the largest, ar
 _LARGEST_ANGLE = {"wrap_angle": 10 * np.pi, "tip_angle": 2 * np.pi}  # larger ones are probably degrees
 
 
-def warnings_of(table: "Measurements", *, in_order: bool | None, from_rest: bool = True) -> tuple[str, ...]:
+def warnings_of(table: Measurements, *, in_order: bool | None, from_rest: bool = True) -> tuple[str, ...]:
     """Warnings, one line each, for the report; a warning about columns names the first of them.
 
     Args:
@@ -32,7 +29,7 @@ def warnings_of(table: "Measurements", *, in_order: bool | None, from_rest: bool
     return tuple(filter(None, found))
 
 
-def _below_zero(table: "Measurements", column: str) -> str:
+def _below_zero(table: Measurements, column: str) -> str:
     if not column.startswith(("base_tension", "tip_tension", "pulling_tension")):
         return ""
     free = f"; if so let {column.replace('tension', 'zero')} be free too"
@@ -41,7 +38,7 @@ def _below_zero(table: "Measurements", column: str) -> str:
     return _rows_with(table, values < 0, f"{column} below 0", lambda i: f"{values[i]:.4g} N", remedy)
 
 
-def _tip_above_base(table: "Measurements", column: str, *, in_order: bool | None) -> str:
+def _tip_above_base(table: Measurements, column: str, *, in_order: bool | None) -> str:
     """Rows in which all of the tendon slides in: with a history those at the largest base tension so far."""
     pull, way = column.replace("tip", "base"), column.replace("tip_tension", "direction")
     if not column.startswith("tip_tension") or pull not in table:
@@ -58,7 +55,7 @@ def _tip_above_base(table: "Measurements", column: str, *, in_order: bool | None
     return _rows_with(table, above, what, lambda i: f"{tip[i]:.6g} N over {base[i]:.6g} N", remedy)
 
 
-def _starts_anew(table: "Measurements", column: str) -> str:
+def _starts_anew(table: Measurements, column: str) -> str:
     """Rows at the lowest level of their trial, after twice that level or more, before a new pull: perhaps from rest."""
     if column != "base_tension":
         return ""
@@ -78,7 +75,7 @@ def _starts_anew(table: "Measurements", column: str) -> str:
     return _rows_with(table, which, what, lambda i: f"{table[column][i]:.6g} N after {above[i]:.6g} N", remedy)
 
 
-def _coming_down(table: "Measurements", column: str) -> str:
+def _coming_down(table: Measurements, column: str) -> str:
     """Rows below the row before them that are not a new start at the lowest level of their trial."""
     stated = column.replace("base_tension", "direction")
     several = len(set_by(table.columns)) > 1 or any(name.startswith("tip_force") for name in table.columns)
@@ -102,13 +99,13 @@ def _coming_down(table: "Measurements", column: str) -> str:
     return _rows_with(table, down, what, lambda i: f"{table[column][i]:.6g} N after {before[i]:.6g} N", remedy)
 
 
-def _large_angle(table: "Measurements", column: str) -> str:
+def _large_angle(table: Measurements, column: str) -> str:
     values, largest = table[column], _LARGEST_ANGLE.get(column, np.inf)
     what, remedy = f"{column} beyond {largest / (2 * np.pi):.0f} turn(s)", "are these degrees under a unit of rad?"
     return _rows_with(table, np.abs(values) > largest, what, lambda i: f"{values[i]:.6g} rad", remedy)
 
 
-def _rows_with(table: "Measurements", which: np.ndarray, what: str, value: Callable[[int], str], remedy: str) -> str:
+def _rows_with(table: Measurements, which: np.ndarray, what: str, value: Callable[[int], str], remedy: str) -> str:
     """A warning with the number of rows concerned and the first of them; "" for none."""
     if not np.any(which):
         return ""
