@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from bodies import both_modes
+from refusals import refused
 
 import cddf_jax as cddf
 
@@ -121,6 +122,29 @@ def test_in_a_plane_space_says_the_same():
     np.testing.assert_allclose(found.tip_position[:, :2], flat.tip_position, atol=1e-6 * LENGTH)
     np.testing.assert_allclose(found.tip_position[:, 2], 0.0, atol=1e-9)
     np.testing.assert_allclose(found.work, flat.work, rtol=1e-5)
+
+
+@pytest.mark.slow
+def test_a_push_on_the_tip():
+    """In its plane a pair gives way as in the plane; without friction nothing rests, and it gives way as in `solve`."""
+    plane = eqx.tree_at(
+        lambda b: b.tendons, PAIR, (cddf.Tendon(0.010), cddf.Tendon(0.010, side=-1)), is_leaf=lambda x: x is None
+    )
+    few, path = {"nodes": 8, "short_steps": 8}, np.array([[75.0, 20.0], [60.0, 20.0]])
+    flat, found = (cddf.trace(body, path, throw=False, **few) for body in (plane, PAIR))
+    in_plane = cddf.tip_compliance(flat, push=(0.0, -0.2), short_steps=4)
+    x, y, z, *turns = cddf.tip_compliance(found, push=(0.0, -0.2, 0.0), short_steps=4)
+    np.testing.assert_allclose([x, y, turns[2]], in_plane, rtol=1e-3, atol=1e-4 * abs(float(in_plane[1])))
+    np.testing.assert_allclose([z, *turns[:2]], 0.0, atol=1e-6)
+
+    smooth = eqx.tree_at(lambda b: b.friction_coefficient, PAIR, np.asarray(0.0))
+    bent = cddf.trace(smooth, path[:1], throw=False, **few)
+    one, other = (cddf.tip_compliance(bent, push=(0.0, 0.0, push), short_steps=2) for push in (0.02, -0.02))
+    aside = (one - other) / 2  # without what grows with the square of the push
+    np.testing.assert_allclose(aside, cddf.tip_compliance(smooth, path[0], nodes=8)[:, 2], rtol=2e-3, atol=1e-6)
+    assert refused(cddf.tip_compliance, bent, push=(0.0, 0.1), error=ValueError) == (
+        "tip_compliance: after a history, push= must have 3 components (X, Y, Z), N, got (0.0, 0.1)"
+    )
 
 
 @pytest.mark.slow

@@ -13,6 +13,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from ..errors import SolveError
 from ..numerics.given_numbers import check_numbers
+from ..numerics.rotations import turn_of
 from ..quantities import check_range_in_space
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator, in_space
@@ -243,8 +244,12 @@ def _in_newton(base_tension: Float[Array, "*tendons"]) -> str:
 
 
 @tip_compliance.register
-def _(history: History, *, push: ArrayLike | Sequence[float] | None = None, short_steps: int = 16) -> Float[Array, "3"]:
+def _(
+    history: History, *, push: ArrayLike | Sequence[float] | None = None, short_steps: int = 16
+) -> Float[Array, " pose"]:
     """The change of the tip pose (X, Y, phi) by a push on the tip after the last step, per newton: m/N, m/N and rad/N.
+
+    In space it has six numbers: position, and the rotation vector of the tip, about X, Y, Z.
 
     It is one-sided, and the mean over the push. Friction holds the tendons; they begin to slide at the base, and slide
     further out under a harder push. The base tensions stay. Where friction holds tendons that do not stretch, the
@@ -253,25 +258,23 @@ def _(history: History, *, push: ArrayLike | Sequence[float] | None = None, shor
 
     Args:
         history: of `trace`.
-        push: the force (X, Y), N, in addition to the loads.
+        push: the force (X, Y), in space (X, Y, Z), N, in addition to the loads.
         short_steps: into how many increments the push is divided, 2 or more; static.
 
     Raises:
-        ValueError: for a body in space, a push without two components or of 0 N, or short_steps below 2.
+        ValueError: for a push of another number of components or of 0 N, or short_steps below 2.
         SolveError: where the numbers are known, and no equilibrium under the push was found, or the push moves the tip
             by less than 1e-6 of the length and 1e-6 rad, which rounding may do. Under a transformation NaN.
     """
-    if history.tip_frame is not None:
-        raise ValueError(
-            "tip_compliance: the history is of a body in space; use tip_compliance(robot, ...), where tendons slide"
-        )
+    states, follow = history._states, partial(trace, short_steps=short_steps, estimate_error=False, throw=False)
+    axes = "XYZ"[: states.manipulator.components]
     check_numbers("tip_compliance: push", 0.0 if push is None else push)
-    if push is None or np.shape(push) != (2,):
-        raise ValueError(f"tip_compliance: after a history, push= must have two components (X, Y), N, got {push!r}")
+    if push is None or np.shape(push) != (len(axes),):
+        needed = f"{len(axes)} components ({', '.join(axes)}), N"
+        raise ValueError(f"tip_compliance: after a history, push= must have {needed}, got {push!r}")
     if not isinstance(push, Tracer) and not 0 < float(np.linalg.norm(np.asarray(push))) < np.inf:
         raise ValueError(f"tip_compliance: push must be a force above 0 N, got {push!r}")
     push = jnp.asarray(push, float)
-    states, follow = history._states, partial(trace, short_steps=short_steps, estimate_error=False, throw=False)
     if isinstance(states, CongruentStates):
         history = follow(states.manipulator, states.path, Loads(), nodes=states.nodes)
         states = history._states
@@ -282,14 +285,13 @@ def _(history: History, *, push: ArrayLike | Sequence[float] | None = None, shor
     if not isinstance(after.status, Tracer) and np.ndim(after.status) == 1 and np.any(np.isnan(after.tip_angle)):
         raise SolveError("tip_compliance: no equilibrium was found under the push; push less, or raise short_steps=")
 
-    def pose(history: History) -> Float[Array, "3"]:
-        return jnp.append(history.tip_position[-1], history.tip_angle[-1])
-
-    moved = pose(after) - pose(history)
-    seen = jnp.linalg.norm(moved / jnp.append(jnp.full(2, states.manipulator.length), 1.0)) > LEAST_MOVE
+    shift, turned = after.tip_position[-1] - history.tip_position[-1], after.tip_angle[-1] - history.tip_angle[-1]
+    if history.tip_frame is not None and after.tip_frame is not None:
+        turned = turn_of(after.tip_frame[-1] @ history.tip_frame[-1].T)
+    seen = jnp.linalg.norm(jnp.append(shift / states.manipulator.length, turned)) > LEAST_MOVE
     if not isinstance(seen, Tracer) and not np.any(seen):
         raise SolveError(
             f"tip_compliance: a push of {float(np.linalg.norm(np.asarray(push))):g} N moves the tip by less than "
             f"{LEAST_MOVE:g} of the length, as rounding may do; push harder"
         )
-    return nan_unless(seen, moved / jnp.linalg.norm(push))
+    return nan_unless(seen, jnp.append(shift, turned) / jnp.linalg.norm(push))

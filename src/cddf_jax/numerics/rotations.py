@@ -107,6 +107,15 @@ def as_matrix(q: Quaternion) -> Float[Array, "*points 3 3"]:
     return jnp.swapaxes(in_fixed_frame(q[..., None, :], axes), -1, -2)
 
 
+def turn_of(matrix: Float[Array, "3 3"]) -> Float[Array, "3"]:
+    """The rotation vector of a rotation by less than half a turn, rad; `of_turn` goes the other way."""
+    twice_sine = jnp.stack([matrix[i, j] - matrix[j, i] for i, j in ((2, 1), (0, 2), (1, 0))])
+    sine = length_of(twice_sine) / 2
+    turns = sine > 0
+    angle = jnp.arctan2(sine, (jnp.trace(matrix) - 1) / 2)
+    return twice_sine / 2 * jnp.where(turns, angle / jnp.where(turns, sine, 1.0), 1.0)
+
+
 def small_turn(change: Quaternion, q: Quaternion) -> Vector:
     """The small rotation vector, rad, in the fixed frame, by which a small change of the quaternion turns."""
     (v, *a), parts = parts_of(change), parts_of(q)

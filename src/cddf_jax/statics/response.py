@@ -12,6 +12,7 @@ from ..mechanics.march import FixedPoint
 from ..mechanics.problem import (
     Method,
 )
+from ..numerics.rotations import turn_of
 from ..robot.loads import Loads, loads_in_space
 from ..robot.manipulator import Manipulator
 from ..robot.profiles import as_number
@@ -115,6 +116,4 @@ def tip_pose(equilibrium: Equilibrium) -> Float[Array, "3"]:
     frame = equilibrium.tip_frame
     if frame is None:
         return jnp.append(equilibrium.tip_position, equilibrium.tip_angle)
-    turned = frame @ jax.lax.stop_gradient(frame).T
-    pairs = [(2, 1), (0, 2), (1, 0)]
-    return jnp.append(equilibrium.tip_position, jnp.stack([turned[i, j] - turned[j, i] for i, j in pairs]) / 2)
+    return jnp.append(equilibrium.tip_position, turn_of(frame @ jax.lax.stop_gradient(frame).T))
