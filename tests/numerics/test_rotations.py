@@ -4,7 +4,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from cddf_jax.numerics.rotations import as_matrix, first_axis, in_fixed_frame, in_own_frame, turn_of
+from cddf_jax.numerics.rotations import as_matrix, first_axis, in_fixed_frame, in_own_frame, rotation_vector
 
 RNG = np.random.default_rng(3)
 LONG = RNG.normal(size=(7, 4))  # not of length 1
@@ -22,6 +22,6 @@ def test_vectors_are_rotated_as_by_scipy():
 def test_rotation_vectors_are_those_of_scipy():
     for rotation in (*SCIPY, Rotation.identity()):
         short = Rotation.from_rotvec(0.9 * rotation.as_rotvec())  # of less than half a turn
-        assert_allclose(turn_of(short.as_matrix()), short.as_rotvec(), rtol=1e-12, atol=1e-14)
+        assert_allclose(rotation_vector(short.as_matrix()), short.as_rotvec(), rtol=1e-12, atol=1e-14)
     nearly = np.array([1e-9, -2e-9, 3e-9])
-    assert_allclose(turn_of(Rotation.from_rotvec(nearly).as_matrix()), nearly, rtol=1e-6)
+    assert_allclose(rotation_vector(Rotation.from_rotvec(nearly).as_matrix()), nearly, rtol=1e-6)

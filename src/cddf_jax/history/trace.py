@@ -13,7 +13,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from ..errors import SolveError
 from ..numerics.given_numbers import check_numbers
-from ..numerics.rotations import turn_of
+from ..numerics.rotations import rotation_vector
 from ..quantities import check_range_in_space
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator, in_space
@@ -287,7 +287,7 @@ def _(
 
     shift, turned = after.tip_position[-1] - history.tip_position[-1], after.tip_angle[-1] - history.tip_angle[-1]
     if history.tip_frame is not None and after.tip_frame is not None:
-        turned = turn_of(after.tip_frame[-1] @ history.tip_frame[-1].T)
+        turned = rotation_vector(after.tip_frame[-1] @ history.tip_frame[-1].T)
     seen = jnp.linalg.norm(jnp.append(shift / states.manipulator.length, turned)) > LEAST_MOVE
     if not isinstance(seen, Tracer) and not np.any(seen):
         raise SolveError(

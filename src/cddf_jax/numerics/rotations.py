@@ -107,7 +107,7 @@ def as_matrix(q: Quaternion) -> Float[Array, "*points 3 3"]:
     return jnp.swapaxes(in_fixed_frame(q[..., None, :], axes), -1, -2)
 
 
-def turn_of(matrix: Float[Array, "3 3"]) -> Float[Array, "3"]:
+def rotation_vector(matrix: Float[Array, "3 3"]) -> Float[Array, "3"]:
     """The rotation vector of a rotation by less than half a turn, rad; `of_turn` goes the other way."""
     twice_sine = jnp.stack([matrix[i, j] - matrix[j, i] for i, j in ((2, 1), (0, 2), (1, 0))])
     sine = length_of(twice_sine) / 2

@@ -12,7 +12,7 @@ from ..mechanics.march import FixedPoint
 from ..mechanics.problem import (
     Method,
 )
-from ..numerics.rotations import turn_of
+from ..numerics.rotations import rotation_vector
 from ..robot.loads import Loads, loads_in_space
 from ..robot.manipulator import Manipulator
 from ..robot.profiles import as_number
@@ -116,4 +116,4 @@ def tip_pose(equilibrium: Equilibrium) -> Float[Array, "3"]:
     frame = equilibrium.tip_frame
     if frame is None:
         return jnp.append(equilibrium.tip_position, equilibrium.tip_angle)
-    return jnp.append(equilibrium.tip_position, turn_of(frame @ jax.lax.stop_gradient(frame).T))
+    return jnp.append(equilibrium.tip_position, rotation_vector(frame @ jax.lax.stop_gradient(frame).T))
