@@ -14,7 +14,7 @@ from jaxtyping import Array
 from ..mechanics.directions import find_directions, travel_under_tension
 from ..mechanics.friction import PerTendon
 from ..mechanics.march import FixedPoint
-from ..mechanics.problem import Method, Nodal, Number, Problem, lay_out, loaded_to, state_at_nodes
+from ..mechanics.problem import Method, Nodal, Number, Problem, lay_out, loaded_to, state_at_nodes, unbent, unstrained
 from ..mechanics.tendon_displacement import tendon_displacement
 from ..numerics.arrays import zero_as
 from ..robot.loads import Loads
@@ -117,8 +117,8 @@ def _loaded(setup: Setup, base_tension: PerTendon) -> Settled:
         converged=path.converged & found.settled,
         resolved=path.resolved & (found.settled | ~path.converged),
     )
-    first = body.first(start.num_iterations)  # for a lane of a batch that found none
-    unmoved, moved = (first.values.nodal, first.strain), (found.nodal, found.strain)
+    first = unbent(body.problem)  # for a lane of a batch that found none
+    unmoved, moved = (first, unstrained(setup.manipulator, True, first.ratio)), (found.nodal, found.strain)
     values, strain = jax.tree.map(partial(jnp.where, path.converged), moved, unmoved)
     return Settled(
         direction=start.direction,
