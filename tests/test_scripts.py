@@ -107,7 +107,7 @@ def test_readme_names_commands_that_exist():
 
 
 def test_every_study_is_expected():
-    own_test = {"soft_tentacle", "sorosim_shapes", "real_robot_loops"}  # each has a test of its name
+    own_test = {"soft_tentacle", "sorosim_shapes", "real_robot_loops", "real_robot_recordings"}  # tests of their names
     assert {path.stem for path in (ROOT / "fitting").glob("*.py")} == set(STATUS) | own_test
 
 
