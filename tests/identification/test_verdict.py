@@ -8,7 +8,7 @@ import pytest
 import cddf_jax as cddf
 from cddf_jax.identification.bench import Bench, BenchModel, Evaluation
 from cddf_jax.identification.fit import _without_contradicted
-from cddf_jax.identification.verdict import SolveResults, doubt, estimates_in_words, solve_results, verdict_of
+from cddf_jax.identification.verdict import SolveResults, advice_on, doubt, estimates_in_words, solve_results
 from cddf_jax.measurements.table import Measurements
 
 
@@ -102,19 +102,10 @@ def test_advice_names_a_pulley_test_for_friction_alone(lost, advised):
     """A pulley has no gravity and no camera."""
     table = Measurements("bench", {"base_tension": np.arange(3.0), "tip_angle": np.arange(3.0)}, np.arange(3))
     found = SimpleNamespace(
-        success=True,
-        result="successful",
-        left_out={},
-        tables=[table],
-        parameters=lost,
         status=dict.fromkeys(lost, "not identified"),
-        value=dict.fromkeys(lost, 0.1),
-        standard_error=dict.fromkeys(lost, np.inf),
-        confidence_interval=dict.fromkeys(lost, (-np.inf, np.inf)),
         combinations={},
         sums={},
-        bounded_above=(),
     )
-    told = verdict_of(found)
-    assert told[-1].startswith(f"The data do not determine {', '.join(sorted(lost))}, although they hold tip angles")
-    assert told[-1].endswith(advised)
+    told = advice_on(found, [table], {*lost})
+    assert told.startswith(f"The data do not determine {', '.join(sorted(lost))}, although they hold tip angles")
+    assert told.endswith(advised)

@@ -15,7 +15,7 @@ from scipy.special import betaincinv, ndtri
 from ..errors import InputError
 from ..estimation.determination import AT_BOUND, NOT_IDENTIFIED
 from ..estimation.profile_likelihood import Profile
-from ..identification import predictions as diagnostics
+from ..identification import curves
 from ..identification.bench import Bench, Group
 from ..identification.fit import Fit
 from ..identification.parameters import parameter_named
@@ -109,7 +109,7 @@ def table_figures(fit: Fit) -> dict[str, Figure]:
 
     There is none where the model gave no numbers: `tables_without_numbers`.
     """
-    lost = diagnostics.tables_without_numbers(fit)
+    lost = curves.tables_without_numbers(fit)
     return {
         "fit_" + re.sub(r"\W+", "_", name.replace(".csv", "")).strip("_"): _table_figure(fit, name)
         for name in fit.model.names
@@ -148,9 +148,9 @@ class _Panel(NamedTuple):
     y_label: str
     unit: str
     data_label: str
-    curve: diagnostics.ModelCurve | None = None  # None where no single one holds the rows
+    curve: curves.ModelCurve | None = None  # None where no single one holds the rows
     half_width: np.ndarray | float = np.nan  # of the 95 % interval of the predictions, where there is no curve
-    loops: Sequence[diagnostics.ModelCurve] = ()  # the model along the path of each trial that comes back
+    loops: Sequence[curves.ModelCurve] = ()  # the model along the path of each trial that comes back
     pulled: np.ndarray | None = None  # with loops, whether the tendon was pulled in each reading
 
 
@@ -160,9 +160,9 @@ def _panel_of(who: str, fit: Fit, table: str | None, column: str | None) -> _Pan
     groups = _groups(fit, name)
     column = _the_one(who, "column", column, list(groups))
     group = groups[column]
-    if not diagnostics.has_numbers(fit, group):
+    if not curves.has_numbers(fit, group):
         raise InputError(f"{who}: the model gave no numbers for {column} of {name}; see fit.result")
-    rows, there, curve = group.table, group.there, diagnostics.model_curve(fit, group)
+    rows, there, curve = group.table, group.there, curves.model_curve(fit, group)
     observed, residual, kind = group.observed, fit.residuals[group.label], kind_of(column)
     label = ("simulated data" if rows.simulated else "data") + (", mean ± sd" if curve is not None else "")
     if column == "pulling_tension" and curve is not None:
@@ -171,8 +171,8 @@ def _panel_of(who: str, fit: Fit, table: str | None, column: str | None) -> _Pan
         return _Panel(*numbers, "Wrap angle (deg)", "Pulling tension / weight (N/N)", "N/N", label, curve)
     scale, unit = QUANTITIES[kind].shown
 
-    def scaled(model: diagnostics.ModelCurve) -> diagnostics.ModelCurve:
-        return diagnostics.ModelCurve(size * model.grid, scale * model.value, scale * model.half_width)
+    def scaled(model: curves.ModelCurve) -> curves.ModelCurve:
+        return curves.ModelCurve(size * model.grid, scale * model.value, scale * model.half_width)
 
     # " 2" of tendon 2, " at head" of a marker
     number = f" at {column.partition('@')[2]}" if "@" in column else column.removeprefix(kind).replace("_", " ")
@@ -182,8 +182,8 @@ def _panel_of(who: str, fit: Fit, table: str | None, column: str | None) -> _Pan
     over_base = _Panel(size * rows[own][there], observed, residual, x_label, words, unit, label)
     if curve is not None:
         return over_base._replace(curve=scaled(curve))
-    half = scale * diagnostics.half_width(fit, group)
-    if loops := diagnostics.model_loops(fit, group):
+    half = scale * curves.half_width(fit, group)
+    if loops := curves.model_loops(fit, group):
         assert isinstance(group.experiment, Bench)
         assert group.experiment.course is not None
         pulled = group.experiment.course.pulled[there]

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from ..errors import InputError
 from ..history.history import History
-from ..identification.predictions import ModelCurve
+from ..identification.curves import ModelCurve
 from ..numerics.arrays import evaluated
 from ..quantities import QUANTITIES
 from ..robot.manipulator import Manipulator

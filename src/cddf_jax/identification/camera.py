@@ -1,7 +1,7 @@
 """The frame in which a camera sees tip and markers: where the search for its pose starts, and when it must be wrong."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,9 +12,6 @@ from ..measurements.markers import registered
 from ..robot.manipulator import Manipulator
 from .bench import Bench, BenchModel, Group
 from .parameters import CAMERA, TRIALS, camera_parameters, stiffness_parameter
-
-if TYPE_CHECKING:
-    from .fit import Fit
 
 FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)  # of the stiffness at the start, for which the pose is found
 LEAST_POINTS = 3  # to find a pose
@@ -92,11 +89,11 @@ def _with_pose(free: Iterable[str]) -> str:
     return f"fit the pose of its frame too: {' '.join(f'--free {name}' for name in names)} (free={names} in Python)"
 
 
-def frame_hint(fit: "Fit") -> str:
+def frame_hint(fit: LeastSquaresFit, groups: Sequence[Group], manipulator: Manipulator) -> str:
     """What to do where positions are hardly explained, and the pose of their frame was not fitted; else ""."""
     ratio, group = fit.minimum.misfit
-    positions = [one.label for point in _points(fit.groups) for one in point.axes.values()]
-    if ratio < UNEXPLAINED or group not in positions or set(camera_parameters(fit.manipulator)) <= set(fit.names):
+    positions = [one.label for point in _points(groups) for one in point.axes.values()]
+    if ratio < UNEXPLAINED or group not in positions or set(camera_parameters(manipulator)) <= set(fit.names):
         return ""
     return f"{group} is hardly explained: if it is not measured in the frame of the base, {_with_pose(fit.names)}."
 

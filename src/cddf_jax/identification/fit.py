@@ -9,21 +9,23 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from ..errors import InputError, within
-from ..estimation.determination import FIXED, Determination, Estimate, determine, estimate
+from ..estimation.determination import FIXED, NOT_IDENTIFIED, Determination, Estimate, determine, estimate
 from ..estimation.evidence import Evidence
 from ..estimation.least_squares import LeastSquaresFit, least_squares_fit
 from ..estimation.observations import Noise
 from ..estimation.parameter_space import Bounds, Priors
+from ..estimation.whole_search import INTERRUPTED
 from ..measurements.holds import SerialCorrelation, holds_of, serial_correlation
 from ..measurements.jitter import Steady
-from ..measurements.left_out import CONTRADICTED, LeaveOut, LeftOut, named_rows, without
+from ..measurements.left_out import CONTRADICTED, LeaveOut, LeftOut, named_rows, rows_in_words, without
 from ..measurements.loop_sense import runs_backwards
 from ..measurements.markers import marker_column
 from ..measurements.table import Measurements
+from ..measurements.trials import repeated_tables
 from ..robot.manipulator import Manipulator
 from ..statics.arguments import refuse_batch
 from . import bench
-from .camera import camera_start, check_reach, unexplained_pose
+from .camera import camera_start, check_reach, frame_hint, unexplained_pose
 from .course import CLOSE, EACH, SHORT_STEPS, how_followed
 from .fit_inputs import courses_of, noise_of, split_noise, trials_of
 from .parameters import (
@@ -52,14 +54,21 @@ from .tension_before import Before
 from .verdict import (
     AGAINST,
     SolveResults,
+    advice_on,
     doubt,
     drift_of,
-    fit_warnings,
+    estimates_in_words,
     neighbours,
     neighbours_in_words,
+    so_far_in_words,
     solve_results,
     variance_of_neighbours,
-    verdict_of,
+    warnings_of_inputs,
+    warnings_of_kinematics,
+    warnings_of_numbers,
+    warnings_of_rows,
+    warnings_of_solves,
+    warnings_of_trials,
 )
 
 POSITIVE = (0.0, None)
@@ -81,17 +90,39 @@ class Fit(LeastSquaresFit):
     without_jitter: dict[str, Steady]  # by table and column that was set, of tables with a history
     setting: BenchSetting  # what all rows share
     left_out: LeftOut  # by file, the rows whose readings were left out
-    options: dict[str, object]  # the arguments of `fit` besides body and data, and the names of the free parameters
+    options: dict[str, Any]  # the arguments of `fit` besides body and data, and the names of the free parameters
 
     @property
     def verdict(self) -> tuple[str, ...]:
         """In words: what the data determine, what they do not determine, and what measurement would help."""
-        return tuple(verdict_of(self))
+        lines = [] if self.success else [f"The fit failed: {self.result}. No parameter is identified."]
+        if not self.success and (hint := frame_hint(self, self.groups, self.manipulator)):
+            lines.append(hint)
+        lines += [f"Left out: {rows_in_words(self.left_out)}."] if self.left_out else []
+        interrupted = self.result == INTERRUPTED
+        lines += so_far_in_words(self) if interrupted else estimates_in_words(self, self.bounded_above)
+        if TRIALS in self.parameters:
+            lines.append(
+                f"friction differs from trial to trial by {100 * self.trial_spread:.2g} % (standard deviation)"
+            )
+        lost = {name for name, status in self.status.items() if status == NOT_IDENTIFIED} - {*self.bounded_above}
+        return *lines, *([advice_on(self, self.tables, lost)] if lost and self.success else [])
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
         """Warnings about tables, statistics and solver, in words."""
-        return tuple(fit_warnings(self))
+        tables = self.tables
+        return (
+            *warnings_of_rows(tables, self.model, self.without_jitter),
+            *warnings_of_inputs(self, tables, self.model, self.options["noise"]),
+            *warnings_of_numbers(self, self.moved_by_steps),
+            *(rival.in_words for rival in self.rivals if rival.in_words),
+            *repeated_tables(tables),
+            *warnings_of_kinematics(tables, self.manipulator),
+            *(remark for remark in self.remarks if not remark.startswith(TRIALS)),
+            *warnings_of_trials(self, self.groups),
+            *warnings_of_solves(self.solve_results),
+        )
 
     @cached_property
     def alone(self) -> dict[str, Determination]:
@@ -239,12 +270,12 @@ class Fit(LeastSquaresFit):
     @cached_property
     def moved_by_steps(self) -> dict[str, float]:
         """By parameter, its error by the increments of a history, over its standard error; {} without increments."""
-        return moved_by_finer_steps(self) if self.success else {}
+        return moved_by_finer_steps(self, self.model, self.groups) if self.success else {}
 
     @property
     def tip_misfits(self) -> dict[str, TipMisfit]:
         """By table of a body in space that bends in one plane, how far its tip is off in this plane and across it."""
-        return tip_misfits(self)
+        return tip_misfits(self, self.groups)
 
     @cached_property
     def rivals(self) -> list[Rival]:

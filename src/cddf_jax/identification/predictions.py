@@ -5,7 +5,7 @@ Also: which predictions lie beyond the data, and how far finer steps along a his
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -16,19 +16,14 @@ from ..estimation.determination import AT_BOUND, NOT_IDENTIFIED
 from ..estimation.least_squares import LeastSquaresFit
 from ..measurements.readings import of_tendons
 from ..measurements.table import Measurements
-from ..mechanics.capstan import pulling_tension
 from ..numerics.arrays import evaluated
 from ..numerics.given_numbers import check_numbers
 from .bench import AllRows, Bench, BenchModel, Group
-from .course import between, course_of, paths_of
+from .course import course_of, paths_of
 from .parameters import TRIALS
 from .tension_before import REST, Before, starts_of
 
-if TYPE_CHECKING:
-    from .fit import Fit
-
 SPANNED = 1e-9  # of the largest tension or force: rows as close to the range of the data count as inside
-GRID = 100  # points of a curve
 
 Numbers = ArrayLike | Sequence[float] | Sequence[Sequence[float]]
 TIP = ("tip_x", "tip_y", "tip_z")
@@ -120,23 +115,23 @@ def beyond_the_data(wanted: Bench, model: BenchModel) -> np.ndarray:
     return np.any((there < low - slack) | (there > high + slack), axis=1)
 
 
-def moved_by_finer_steps(fit: "Fit") -> dict[str, float]:
+def moved_by_finer_steps(fit: LeastSquaresFit, model: BenchModel, groups: Sequence[Group]) -> dict[str, float]:
     """By parameter, the error of its estimate by increments and elements, over its standard error.
 
     The prediction is repeated with increments and elements half as long. An error proportional to their length is twice
     the difference, one that falls with the square is less. The linearised fit gives the change of the estimates. Empty
     where every answer is exact; NaN where the finer one has no solution.
     """
-    body, nodes, spectrum, problem = fit.model.manipulator, fit.model.nodes, fit.evidence.spectrum, fit.minimum.problem
+    spectrum, problem = fit.evidence.spectrum, fit.minimum.problem
     parameters, found = jax.tree.map(np.asarray, fit.parameters), False
     apart = {label: np.zeros(len(rows)) for label, rows in fit.evidence.rows.items()}  # over the noise
-    for name, one in zip(fit.model.names, fit.model.experiments, strict=True):
+    for name, one in zip(model.names, model.experiments, strict=True):
         if not isinstance(one, Bench) or one.course is None or one.course.short_steps is None:
             continue
         found = True
         finer = replace(one, course=replace(one.course, short_steps=2 * one.course.short_steps), name="")
-        read = evaluated(Bench.predict, finer, body, parameters, 2 * nodes)
-        for group in (group for group in fit.groups if group.name == name):
+        read = evaluated(Bench.predict, finer, model.manipulator, parameters, 2 * model.nodes)
+        for group in (group for group in groups if group.name == name):
             less = read[group.column] - (group.observed - fit.residuals[group.label])
             apart[group.label] = 2 * less / noise_of_readings(fit, group)
     whole = np.asarray(problem.shared.whitened(np.concatenate([apart[label] for label in problem.groups])))
@@ -155,20 +150,20 @@ class TipMisfit(NamedTuple):
     across: float  # at right angles to it
 
 
-def tip_misfits(fit: "Fit") -> dict[str, TipMisfit]:
+def tip_misfits(fit: LeastSquaresFit, groups: Sequence[Group]) -> dict[str, TipMisfit]:
     """By table of a body in space whose tip bends in one plane, how far its places are off in this plane and across it.
 
     The plane is the one nearest to all predicted places.
     """
     found = {}
-    for name in fit.model.names:
-        groups = {group.column: group for group in fit.groups if group.name == name}
-        if not {*TIP} <= {*groups}:
+    for name in dict.fromkeys(group.name for group in groups):
+        own = {group.column: group for group in groups if group.name == name}
+        if not {*TIP} <= {*own}:
             continue
-        every = np.all([groups[column].there for column in TIP], axis=0)
+        every = np.all([own[column].there for column in TIP], axis=0)
         off, read = (
-            np.stack([of[groups[column].label][every[groups[column].there]] for column in TIP], axis=1)
-            for of in (fit.residuals, {group.label: group.observed for group in groups.values()})
+            np.stack([of[own[column].label][every[own[column].there]] for column in TIP], axis=1)
+            for of in (fit.residuals, {group.label: group.observed for group in own.values()})
         )
         place = read - off
         if not np.all(np.isfinite(place)):
@@ -189,86 +184,18 @@ def noise_of_readings(fit: LeastSquaresFit, group: Group) -> np.ndarray:
 # --- names of what was fitted ---------------------------------------------------------------------
 
 
-def own_names(fit: "Fit") -> list[str]:
+def own_names(fit: LeastSquaresFit) -> list[str]:
     """The parameters that were fitted, without the deviations of trials."""
     return [name for name in fit.names if not name.startswith(TRIALS)]
 
 
-def moving_names(fit: "Fit") -> list[str]:
+def moving_names(fit: LeastSquaresFit) -> list[str]:
     """The fitted parameters that are not at a bound."""
     return [name for name in own_names(fit) if fit.status[name] != AT_BOUND]
 
 
-def correlated_names(fit: "Fit") -> list[str]:
+def correlated_names(fit: LeastSquaresFit) -> list[str]:
     """The parameters whose correlation the data determine."""
     if fit.rank == len(fit.names):
         return moving_names(fit)
     return [name for name in moving_names(fit) if fit.status[name] != NOT_IDENTIFIED]
-
-
-# --- the model beside the rows -------------------------------------------------------------------
-
-
-class ModelCurve(NamedTuple):
-    """The fitted model over a grid of base tensions, or of wrap angles (then it is pulling tension per weight); SI."""
-
-    grid: np.ndarray
-    value: np.ndarray
-    half_width: np.ndarray  # of the 95 % band
-
-
-def model_curve(fit: "Fit", group: Group) -> ModelCurve | None:
-    """The model over the base tensions (wrap angles) of a table; None where its rows do not lie on a single curve."""
-    rows, experiment = group.table, group.experiment
-    if isinstance(experiment, Bench) and not experiment.on_one_curve:
-        return None
-    if isinstance(experiment, Bench):
-        grid = np.linspace(max(rows["base_tension"].min(), 0.0), rows["base_tension"].max(), GRID)
-        return ModelCurve(grid, *fit.predict(group.column, grid)[:2])
-    grid = np.linspace(0.0, rows["wrap_angle"].max(), GRID)
-    ratio = np.asarray(pulling_tension(1.0, fit.value["friction_coefficient"], grid))
-    slope = np.zeros((grid.size, len(fit.names)))
-    if "friction_coefficient" in fit.names:
-        slope[:, fit.names.index("friction_coefficient")] = grid * ratio
-    return ModelCurve(grid, ratio, fit.band(slope))
-
-
-def model_loops(fit: "Fit", group: Group) -> list[ModelCurve]:
-    """The model along the path of each trial, in its order; [] where no path turns, or there is no exact answer."""
-    bench = group.experiment
-    course = bench.course if isinstance(bench, Bench) and not bench.on_one_curve else None
-    if not isinstance(bench, Bench) or course is None or course.short_steps is not None or course.each_from_rest:
-        return []
-    own = None if bench.trial is None else np.asarray(bench.trial)[np.asarray(course.first_row)]
-    course, paths = between(course, GRID)
-    trial = None if own is None else own[np.asarray(course.trial)]
-    rows = Bench(np.concatenate(paths)[:, None], (None,), trial=trial, course=course, setting=bench.setting)
-    shown = rows.evaluate(fit.model.manipulator, fit.parameters, fit.model.nodes)
-    value, band = shown.readings[group.column], fit.band(shown.derivatives[group.column])
-    ends = np.cumsum([path.size for path in paths])[:-1]
-    parts = (np.split(numbers, ends) for numbers in (value, band))
-    return [ModelCurve(*numbers) for numbers in zip(paths, *parts, strict=True)]
-
-
-def half_width(fit: "Fit", group: Group) -> np.ndarray:
-    """The half-widths of the 95 % intervals of the predictions for the readings of a group, SI."""
-    assert isinstance(group.experiment, Bench)
-    shown = group.experiment.evaluate(fit.model.manipulator, fit.parameters, fit.model.nodes)
-    return fit.band(shown.derivatives[group.column][group.there])
-
-
-def has_numbers(fit: "Fit", group: Group) -> bool:
-    """Whether the model gave a finite prediction for each row."""
-    return bool(np.all(np.isfinite(fit.residuals[group.label])))
-
-
-def tables_without_numbers(fit: "Fit") -> dict[str, str]:
-    """By table, in words, the columns that the model gave no numbers for; such a table cannot be drawn."""
-    lost: dict[str, str] = {}
-    for name, table in zip(fit.model.names, fit.tables, strict=True):
-        without = [group for group in fit.groups if group.name == name and not has_numbers(fit, group)]
-        if without:
-            rows = max(np.sum(~np.isfinite(fit.residuals[group.label])) for group in without)
-            columns = ", ".join(group.column for group in without)
-            lost[name] = f"the model gave no numbers for {columns} in {rows} of {len(table)} rows"
-    return lost

@@ -1,14 +1,14 @@
 """The result of a fit in words: what the data determine and what not, why the fit is doubtful, and warnings."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Int
 
 from ..estimation.determination import IDENTIFIED, NOT_IDENTIFIED, Determination
+from ..estimation.least_squares import LeastSquaresFit
 from ..estimation.remarks import EXACT, chance_of_more
-from ..estimation.whole_search import INTERRUPTED
 from ..measurements.columns import is_reading
 from ..measurements.holds import ALARM, LEAST_PAIRS
 from ..measurements.jitter import Steady
@@ -16,19 +16,15 @@ from ..measurements.left_out import CONTRADICTED, as_leave_out, named_rows, rows
 from ..measurements.readings import kind_of_set, of_shape, set_by, tendon_number
 from ..measurements.table import Measurements
 from ..measurements.table_warnings import warnings_of
-from ..measurements.trials import repeated_tables
 from ..quantities import dimension_of
+from ..robot.manipulator import Manipulator
 from ..statics.status import NOTEWORTHY, Status, words_of
 from ..units import preferred, shown
 from .bench import Bench, BenchModel, Group
-from .camera import frame_hint
 from .parameters import TRIALS, Parameters, parameter_named, unit_of
 from .predictions import noise_of_readings
 from .random_effects import many_levels
 from .tension_before import is_past
-
-if TYPE_CHECKING:
-    from .fit import Fit
 
 INCOMPRESSIBLE = 0.5  # Poisson's ratio of a material that does not change its volume
 LARGEST_FRICTION = 2.0  # a larger coefficient gives a warning
@@ -100,81 +96,92 @@ def doubt(ends: Sequence[SolveResults]) -> str:
     )
 
 
-def fit_warnings(fit: "Fit") -> list[str]:
-    """Warnings about the tables, the statistics and the solver, at the estimate."""
-    found = [f"{table.name}: {warning}" for table, own in _warnings_of_tables(fit) for warning in own]
-    benches = [
-        (name, table, one)
-        for name, table, one in zip(fit.model.names, fit.tables, fit.model.experiments, strict=True)
-        if isinstance(one, Bench)
-    ]
-    found += [
-        f"{name}: each row was followed from rest, with all that was set in proportion"
-        for name, table, one in benches
-        if one.in_order is None and len(table) > 1
-    ]
-    found += [
-        f"{name}: no column for tendon {', '.join(str(i) for i in sorted(slack))}: taken as slack"
-        for name, table, one in benches
-        if (slack := {*range(1, fit.manipulator.num_tendons + 1)} - {*map(tendon_number, set_by(table.columns))})
-    ]
-    found += [
-        _jitter_in_words(name, column, steady)
-        for name, table, _ in benches
-        for column in set_by(table.columns)
-        if (steady := fit.without_jitter.get(f"{name}: {column}")) and steady.num_ignored
-    ]
+def warnings_of_rows(
+    tables: Sequence[Measurements], model: BenchModel, without_jitter: Mapping[str, Steady]
+) -> Iterator[str]:
+    """Warnings about the tables, and about what was taken for granted or ignored in them."""
+    every = list(zip(model.names, tables, model.experiments, strict=True))
+    for _, table, one in every:
+        course, in_order = (one.course, one.in_order) if isinstance(one, Bench) else (None, False)
+        from_rest = course is None or course.past is None
+        yield from (f"{table.name}: {own}" for own in warnings_of(table, in_order=in_order, from_rest=from_rest))
+    for name, table, one in every:
+        if not isinstance(one, Bench):
+            continue
+        if one.in_order is None and len(table) > 1:
+            yield f"{name}: each row was followed from rest, with all that was set in proportion"
+        slack = {*range(1, model.manipulator.num_tendons + 1)} - {*map(tendon_number, set_by(table.columns))}
+        if slack:
+            yield f"{name}: no column for tendon {', '.join(map(str, sorted(slack)))}: taken as slack"
+        for column in set_by(table.columns):
+            if (steady := without_jitter.get(f"{name}: {column}")) and steady.num_ignored:
+                yield _jitter_in_words(name, column, steady)
+
+
+def warnings_of_inputs(
+    fit: LeastSquaresFit, tables: Sequence[Measurements], model: BenchModel, given: Mapping[str, Any]
+) -> Iterator[str]:
+    """Noise of what was set that was not `given`: what was found for it, and where nothing could be."""
     for label in fit.evidence.estimated_inputs:
         noise = shown(fit.input_noise[label], dimension_of(kind_of_set(label.rpartition(": ")[2])))
-        found.append(
+        yield (
             f"{label} was not given a noise; the readings of a row deviate together, as {noise} of noise in it would "
             "cause (standard deviation), and the intervals contain it; give it if you know it, 0 for none"
         )
-    found += [
-        f"{name}: what was set has too many levels for an estimate of its noise, and the intervals do not contain it; "
-        "give the noise of base_tension or displacement, 0 if it is exact, or fit one reading for each hold"
-        for name in many_levels(fit.model, fit.tables, dict(fit.options["noise"]))  # pyright: ignore
-    ]
-    found += [
-        f"the increments of the history move {name} by {part:.2g} of its standard error; give more short_steps"
-        for name, part in fit.moved_by_steps.items()
-        if not part <= LARGEST_MOVE
-    ]
-    found += [rival.in_words for rival in fit.rivals if rival.in_words]
-    found += repeated_tables(fit.tables)
-    if fit.manipulator.kinematics == "published" and _hold_shape(fit.tables):
-        found.append(
-            "tip angles or positions are fitted in the published kinematics, which bends 5 to 10 % less at 40 % loss; "
-            "use the exact one for a real body"
+    for name in many_levels(model, tables, given):
+        yield (
+            f"{name}: what was set has too many levels for an estimate of its noise, and the intervals do not contain "
+            "it; give the noise of base_tension or displacement, 0 if it is exact, or fit one reading for each hold"
         )
-    found += [remark for remark in fit.remarks if not remark.startswith(TRIALS)]
-    found += [
-        f"{group.label} differs from trial to trial by more than its scatter; try per_trial"
-        for group in fit.groups
-        if TRIALS not in fit.parameters and _differ_by_trial(fit, group)
-    ]
+
+
+def warnings_of_numbers(fit: LeastSquaresFit, moved: Mapping[str, float]) -> Iterator[str]:
+    """Estimates that no real body has, and those that the increments of a history have `moved` too far."""
+    for name, part in moved.items():
+        if not part <= LARGEST_MOVE:
+            what = f"the increments of the history move {name} by {part:.2g} of its standard error"
+            yield f"{what}; give more short_steps"
     mu = fit.value.get("friction_coefficient", 0.0)
     if mu > LARGEST_FRICTION and fit.status["friction_coefficient"] == IDENTIFIED:
-        found.append(
+        yield (
             f"friction_coefficient = {mu:.3g} is far above that of any tendon; check the units of the tables, "
             "for instance radians in a column of degrees"
         )
     if fit.confidence_interval.get("poissons_ratio", (0.0, 0.0))[0] > INCOMPRESSIBLE:
-        found.append(
+        yield (
             f"poissons_ratio = {fit.value['poissons_ratio']:.3g} is above 0.5, which no uniform material has: the body "
             "is softer in torsion or shear than its bending stiffness suggests"
         )
-    for solves in fit.solve_results:
+
+
+def warnings_of_kinematics(tables: Sequence[Measurements], manipulator: Manipulator) -> Iterator[str]:
+    """The published kinematics, where the shape of a real body was read."""
+    if manipulator.kinematics == "published" and _hold_shape(tables):
+        yield (
+            "tip angles or positions are fitted in the published kinematics, which bends 5 to 10 % less at 40 % loss; "
+            "use the exact one for a real body"
+        )
+
+
+def warnings_of_trials(fit: LeastSquaresFit, groups: Sequence[Group]) -> Iterator[str]:
+    """Readings that differ from trial to trial, although no parameter does."""
+    for group in groups:
+        if TRIALS not in fit.parameters and _differ_by_trial(fit, group):
+            yield f"{group.label} differs from trial to trial by more than its scatter; try per_trial"
+
+
+def warnings_of_solves(ends: Sequence[SolveResults]) -> Iterator[str]:
+    """Rows whose solves ended in a way that is worth a note."""
+    for solves in ends:
         for status in NOTEWORTHY:
             contradicted = status is Status.direction_contradicted
             which = solves.contradicted if contradicted else solves.ended(status)
             if np.any(which):
                 where = f"{np.count_nonzero(which)} of {np.count_nonzero(solves.read)} rows"
-                found.append(f"{where}, {rows_in_words(named_rows([solves.table], [which]))}: {words_of(status)}")
-    return found
+                yield f"{where}, {rows_in_words(named_rows([solves.table], [which]))}: {words_of(status)}"
 
 
-def drift_of(fit: "Fit", group: Group) -> str:
+def drift_of(fit: LeastSquaresFit, group: Group) -> str:
     """In words, that the residuals of a group with a history drift from the first step to the last; "" if not.
 
     Two more parameters of the linearised model are tested: an error that grows with the step, and one that grows with
@@ -242,15 +249,7 @@ def _jitter_in_words(name: str, column: str, steady: Steady) -> str:
     )
 
 
-def _warnings_of_tables(fit: "Fit") -> Iterator[tuple[Measurements, tuple[str, ...]]]:
-    for table, experiment in zip(fit.tables, fit.model.experiments, strict=True):
-        course = experiment.course if isinstance(experiment, Bench) else None
-        from_rest = course is None or course.past is None
-        in_order = experiment.in_order if isinstance(experiment, Bench) else False
-        yield table, warnings_of(table, in_order=in_order, from_rest=from_rest)
-
-
-def _differ_by_trial(fit: "Fit", group: Group) -> bool:
+def _differ_by_trial(fit: LeastSquaresFit, group: Group) -> bool:
     """Whether the residuals of a column differ from trial to trial, and not only by rounding errors."""
     residual = fit.residuals[group.label]
     exact = np.max(np.abs(residual), initial=0.0) <= EXACT * np.max(np.abs(group.observed))
@@ -292,19 +291,7 @@ def error_in_words(known: Determination, name: str) -> str:
     return f"{100 * error / abs(value):.2g} %" if kind.positive else shown(error, kind.dimension)
 
 
-def verdict_of(fit: "Fit") -> list[str]:
-    """What the data determine, what they do not determine, and what measurement would help."""
-    lines = [] if fit.success else [f"The fit failed: {fit.result}. No parameter is identified."]
-    lines += [hint] if not fit.success and (hint := frame_hint(fit)) else []
-    lines += [f"Left out: {rows_in_words(fit.left_out)}."] if fit.left_out else []
-    lines += so_far_in_words(fit) if fit.result == INTERRUPTED else estimates_in_words(fit, fit.bounded_above)
-    if TRIALS in fit.parameters:
-        lines.append(f"friction differs from trial to trial by {100 * fit.trial_spread:.2g} % (standard deviation)")
-    lost = {n for n, status in fit.status.items() if status == NOT_IDENTIFIED and n not in fit.bounded_above}
-    return lines + [_advice(fit, lost)] * bool(lost and fit.success)
-
-
-def so_far_in_words(fit: "Fit") -> list[str]:
+def so_far_in_words(fit: LeastSquaresFit) -> list[str]:
     """A line for each fitted parameter of a search that was interrupted."""
     own = [name for name in fit.names if not name.startswith(TRIALS)]
     shown = [(name, *shown_unit(name)) for name in own]
@@ -341,7 +328,7 @@ def _hold_shape(tables: Sequence[Measurements]) -> bool:
     return any(of_shape(column) for table in tables for column in table.columns)
 
 
-def _advice(fit: "Fit", lost: set[str]) -> str:
+def advice_on(fit: LeastSquaresFit, tables: Sequence[Measurements], lost: set[str]) -> str:
     """What measurement would separate the parameters that these data do not separate."""
     if pasts := sorted(filter(is_past, lost)):
         return (
@@ -353,7 +340,7 @@ def _advice(fit: "Fit", lost: set[str]) -> str:
             f"The data do not determine {', '.join(sorted(lost))}. Some have the same effect: only the sums and "
             "differences above are determined. Fix one parameter of each, or give it a prior."
         )
-    if _hold_shape(fit.tables):
+    if _hold_shape(tables):
         pulley = " (friction: a pulley test)" if "friction_coefficient" in lost else ""
         return (
             f"The data do not determine {', '.join(sorted(lost))}, although they hold tip angles or positions. Each "
@@ -366,7 +353,7 @@ def _advice(fit: "Fit", lost: set[str]) -> str:
             "pulley test (friction alone), tip angles or tip positions measured with the tensions, or a prior on "
             "either."
         )
-    if lost == {stiffness} and all("pulling_tension" in table for table in fit.tables):
+    if lost == {stiffness} and all("pulling_tension" in table for table in tables):
         return (
             "A pulley test determines the friction alone. Add tip tensions, tip angles or tip positions of the "
             "manipulator."

@@ -16,14 +16,10 @@ from ..estimation.profile_likelihood import Profile
 from ..files.manipulator_file import manipulator_text
 from ..files.writing import markdown_table, picked
 from ..identification.bench import Bench
+from ..identification.curves import tables_without_numbers
 from ..identification.fit import Fit
 from ..identification.parameters import TRIALS, unit_of
-from ..identification.predictions import (
-    correlated_names,
-    moving_names,
-    own_names,
-    tables_without_numbers,
-)
+from ..identification.predictions import correlated_names, moving_names, own_names
 from ..identification.verdict import error_in_words, parameter_shown, shown_unit
 from ..measurements.columns import column_dimension
 from ..measurements.table import Measurements

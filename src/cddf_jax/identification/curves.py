@@ -1,0 +1,77 @@
+"""The fitted model beside the rows of its tables, for drawing: curves with bands, and where there are none."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..mechanics.capstan import pulling_tension
+from .bench import Bench, Group
+from .course import between
+from .fit import Fit
+
+GRID = 100  # points of a curve
+
+
+class ModelCurve(NamedTuple):
+    """The fitted model over a grid of base tensions, or of wrap angles (then it is pulling tension per weight); SI."""
+
+    grid: np.ndarray
+    value: np.ndarray
+    half_width: np.ndarray  # of the 95 % band
+
+
+def model_curve(fit: Fit, group: Group) -> ModelCurve | None:
+    """The model over the base tensions (wrap angles) of a table; None where its rows do not lie on a single curve."""
+    rows, experiment = group.table, group.experiment
+    if isinstance(experiment, Bench) and not experiment.on_one_curve:
+        return None
+    if isinstance(experiment, Bench):
+        grid = np.linspace(max(rows["base_tension"].min(), 0.0), rows["base_tension"].max(), GRID)
+        return ModelCurve(grid, *fit.predict(group.column, grid)[:2])
+    grid = np.linspace(0.0, rows["wrap_angle"].max(), GRID)
+    ratio = np.asarray(pulling_tension(1.0, fit.value["friction_coefficient"], grid))
+    slope = np.zeros((grid.size, len(fit.names)))
+    if "friction_coefficient" in fit.names:
+        slope[:, fit.names.index("friction_coefficient")] = grid * ratio
+    return ModelCurve(grid, ratio, fit.band(slope))
+
+
+def model_loops(fit: Fit, group: Group) -> list[ModelCurve]:
+    """The model along the path of each trial, in its order; [] where no path turns, or there is no exact answer."""
+    bench = group.experiment
+    course = bench.course if isinstance(bench, Bench) and not bench.on_one_curve else None
+    if not isinstance(bench, Bench) or course is None or course.short_steps is not None or course.each_from_rest:
+        return []
+    own = None if bench.trial is None else np.asarray(bench.trial)[np.asarray(course.first_row)]
+    course, paths = between(course, GRID)
+    trial = None if own is None else own[np.asarray(course.trial)]
+    rows = Bench(np.concatenate(paths)[:, None], (None,), trial=trial, course=course, setting=bench.setting)
+    shown = rows.evaluate(fit.model.manipulator, fit.parameters, fit.model.nodes)
+    value, band = shown.readings[group.column], fit.band(shown.derivatives[group.column])
+    ends = np.cumsum([path.size for path in paths])[:-1]
+    parts = (np.split(numbers, ends) for numbers in (value, band))
+    return [ModelCurve(*numbers) for numbers in zip(paths, *parts, strict=True)]
+
+
+def half_width(fit: Fit, group: Group) -> np.ndarray:
+    """The half-widths of the 95 % intervals of the predictions for the readings of a group, SI."""
+    assert isinstance(group.experiment, Bench)
+    shown = group.experiment.evaluate(fit.model.manipulator, fit.parameters, fit.model.nodes)
+    return fit.band(shown.derivatives[group.column][group.there])
+
+
+def has_numbers(fit: Fit, group: Group) -> bool:
+    """Whether the model gave a finite prediction for each row."""
+    return bool(np.all(np.isfinite(fit.residuals[group.label])))
+
+
+def tables_without_numbers(fit: Fit) -> dict[str, str]:
+    """By table, in words, the columns that the model gave no numbers for; such a table cannot be drawn."""
+    lost: dict[str, str] = {}
+    for name, table in zip(fit.model.names, fit.tables, strict=True):
+        without = [group for group in fit.groups if group.name == name and not has_numbers(fit, group)]
+        if without:
+            rows = max(np.sum(~np.isfinite(fit.residuals[group.label])) for group in without)
+            columns = ", ".join(group.column for group in without)
+            lost[name] = f"the model gave no numbers for {columns} in {rows} of {len(table)} rows"
+    return lost
