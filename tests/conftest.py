@@ -56,6 +56,12 @@ def _let_compiled_programs_go():
         gc.collect()
 
 
+def pytest_unconfigure():
+    """Garbage is looked for once; pytest and Python would go through all that was traced three times more."""
+    gc.collect()
+    gc.freeze()
+
+
 @pytest.fixture
 def said(monkeypatch):
     """Every stage that work says to those who asked, in order; nothing is shown."""

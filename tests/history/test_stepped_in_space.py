@@ -109,15 +109,22 @@ def test_one_tendon_is_as_the_exact_trace():
     np.testing.assert_allclose(found.tip_frame, exact.tip_frame, atol=1e-3)
 
 
-@pytest.mark.slow
-def test_in_a_plane_space_says_the_same():
+FEW = {"nodes": 8, "short_steps": 8, "throw": False}
+RELEASED = np.array([[75.0, 20.0], [60.0, 20.0], [40.0, 20.0]])
+
+
+@pytest.fixture(scope="module")
+def plane_and_space():
     """A pair that bends in one plane, described with and without angles."""
-    path = np.array([[75.0, 20.0], [60.0, 20.0], [40.0, 20.0]])
     plane = eqx.tree_at(
         lambda b: b.tendons, PAIR, (cddf.Tendon(0.010), cddf.Tendon(0.010, side=-1)), is_leaf=lambda x: x is None
     )
-    few = {"nodes": 8, "short_steps": 8, "throw": False}
-    flat, found = cddf.trace(plane, path, **few), cddf.trace(PAIR, path, **few)
+    return [cddf.trace(body, RELEASED, **FEW) for body in (plane, PAIR)]
+
+
+@pytest.mark.slow
+def test_in_a_plane_space_says_the_same(plane_and_space):
+    flat, found = plane_and_space
     np.testing.assert_allclose(found.tip_tension, flat.tip_tension, atol=1e-4)
     np.testing.assert_allclose(found.tip_position[:, :2], flat.tip_position, atol=1e-6 * LENGTH)
     np.testing.assert_allclose(found.tip_position[:, 2], 0.0, atol=1e-9)
@@ -125,23 +132,19 @@ def test_in_a_plane_space_says_the_same():
 
 
 @pytest.mark.slow
-def test_a_push_on_the_tip():
+def test_a_push_on_the_tip(plane_and_space):
     """In its plane a pair gives way as in the plane; without friction nothing rests, and it gives way as in `solve`."""
-    plane = eqx.tree_at(
-        lambda b: b.tendons, PAIR, (cddf.Tendon(0.010), cddf.Tendon(0.010, side=-1)), is_leaf=lambda x: x is None
-    )
-    few, path = {"nodes": 8, "short_steps": 8}, np.array([[75.0, 20.0], [60.0, 20.0]])
-    flat, found = (cddf.trace(body, path, throw=False, **few) for body in (plane, PAIR))
+    flat, found = plane_and_space
     in_plane = cddf.tip_compliance(flat, push=(0.0, -0.2), short_steps=4)
     x, y, z, *turns = cddf.tip_compliance(found, push=(0.0, -0.2, 0.0), short_steps=4)
     np.testing.assert_allclose([x, y, turns[2]], in_plane, rtol=1e-3, atol=1e-4 * abs(float(in_plane[1])))
     np.testing.assert_allclose([z, *turns[:2]], 0.0, atol=1e-6)
 
     smooth = eqx.tree_at(lambda b: b.friction_coefficient, PAIR, np.asarray(0.0))
-    bent = cddf.trace(smooth, path[:1], throw=False, **few)
-    one, other = (cddf.tip_compliance(bent, push=(0.0, 0.0, push), short_steps=2) for push in (0.02, -0.02))
+    bent = cddf.trace(smooth, RELEASED, **FEW)
+    one, other = (cddf.tip_compliance(bent, push=(0.0, 0.0, push), short_steps=4) for push in (0.02, -0.02))
     aside = (one - other) / 2  # without what grows with the square of the push
-    np.testing.assert_allclose(aside, cddf.tip_compliance(smooth, path[0], nodes=8)[:, 2], rtol=2e-3, atol=1e-6)
+    np.testing.assert_allclose(aside, cddf.tip_compliance(smooth, RELEASED[-1], nodes=8)[:, 2], rtol=2e-3, atol=1e-6)
     assert refused(cddf.tip_compliance, bent, push=(0.0, 0.1), error=ValueError) == (
         "tip_compliance: after a history, push= must have 3 components (X, Y, Z), N, got (0.0, 0.1)"
     )
@@ -152,9 +155,8 @@ def test_turning_the_robot_turns_the_answer():
     path = np.array([[40.0, 2.0, 5.0], [40.0, 30.0, 5.0], [10.0, 30.0, 5.0]])
     force, angle = np.array([0.0, 0.3, -0.2]), 0.7
     turn = np.array([[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]])
-    few = {"nodes": 8, "short_steps": 8, "throw": False}
-    one = cddf.trace(STARS, path, cddf.Loads(tip_force=force), **few)
-    other = cddf.trace(robot(angle + np.array(THIRDS)), path, cddf.Loads(tip_force=turn @ force), **few)
+    one = cddf.trace(STARS, path, cddf.Loads(tip_force=force), **FEW)
+    other = cddf.trace(robot(angle + np.array(THIRDS)), path, cddf.Loads(tip_force=turn @ force), **FEW)
     np.testing.assert_allclose(other.tip_tension, one.tip_tension, atol=1e-6)
     np.testing.assert_allclose(other.tip_position, one.tip_position @ turn.T, atol=1e-9)
 
@@ -191,11 +193,13 @@ def test_random_paths_settle_and_forget(loaded):
     """Three tendons that are let go, so that friction forgets, and pulled again end as if nothing had been before."""
     rng, pull = np.random.default_rng(11), np.array([[0.0, 0.0, 0.0], [60.0, 24.0, 18.0]])
     loads = cddf.Loads(tip_force=(0.0, 0.1, 0.2)) if loaded else None
-    few = {"nodes": 8, "short_steps": 8, "throw": False}
-    expected = cddf.trace(STARS, pull, loads, **few)
+
+    def after(before):
+        return cddf.trace(STARS, np.concatenate([before, pull]), loads, **FEW)
+
+    expected = after(np.zeros((6, 3)))  # as many steps: one program for all
     for _ in range(3):
-        path = np.concatenate([rng.uniform(0.0, 60.0, (6, 3)), pull])
-        found = cddf.trace(STARS, path, loads, **few)
+        found = after(rng.uniform(0.0, 60.0, (6, 3)))
         assert np.all(np.isfinite(found.tip_angle))
         np.testing.assert_allclose(found.tip_tension[-1], expected.tip_tension[-1], atol=1e-3)
         np.testing.assert_allclose(found.tip_position[-1], expected.tip_position[-1], atol=1e-6 * LENGTH)

@@ -1,13 +1,13 @@
 """Drag w, a friction per length that is there without tension and curvature: T' = -direction (mu |psi'| T + w)."""
 
 from dataclasses import replace
+from functools import lru_cache
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import PAPER, fields_at, lane, one_kinematics_at_once, paper_body, paper_plain, replaced, stack
+from bodies import PAPER, fields_at, lane, one_kinematics_at_once, paper_body, paper_plain, replaced
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 
@@ -234,10 +234,22 @@ def test_a_tip_tension_is_found_across_the_slack():
 # --- derivatives and batches ---------------------------------------------------------------------
 
 
-@eqx.filter_jit
-def observed(w, base_tension, direction):
-    solution = cddf.solve(replaced(CYLINDER, drag=w), base_tension, direction=direction, throw=False)
-    return jnp.stack([solution.tip_tension[0], solution.tip_angle])
+# drag, base tension, direction, friction
+LANES = {
+    "in": (W, 75.0, +1, MU),
+    "slack": (W, 12.0, +1, MU),
+    "out": (W, 40.0, -1, MU),
+    "slack from the base": (W, 0.0, +1, MU),
+    "out from no tension": (W, 0.0, -1, MU),
+    "no drag": (0.0, 75.0, +1, MU),
+    "fails": (-W, 30.0, +1, MU),
+    "other friction": (2 * W, 20.0, +1, 0.6),
+}
+
+
+def drawn(w, base_tension, direction, friction):
+    body = replaced(CYLINDER, drag=w, friction_coefficient=friction)
+    return cddf.solve(body, base_tension, direction=direction, throw=False)
 
 
 def by_scipy(w, base_tension, direction):
@@ -251,24 +263,37 @@ def by_scipy(w, base_tension, direction):
     return np.array([tension(LENGTH), quad(tension, 0, end, epsabs=1e-13, epsrel=1e-13)[0] * d / (E * J)])
 
 
-@jax.jit
-def jacobians(w, base_tension, direction):
-    """By drag and tension in both modes; reverse mode is what `vjp` does, a linear map transposed."""
-    w, base_tension = jnp.asarray(w, float), jnp.asarray(base_tension, float)
-    value, along = jax.linearize(lambda w, tension: observed(w, tension, direction), w, base_tension)
-    reverse = jax.vmap(jax.linear_transpose(along, w, base_tension))(jnp.eye(value.size))
-    return (along(1.0, 0.0), along(0.0, 1.0)), reverse
+@lru_cache
+def batch():
+    """All lanes: by drag and tension in both modes, and the solutions; reverse mode is a linear map transposed."""
+
+    def both(w, base_tension, *others):
+        def observed(w, base_tension):
+            solution = drawn(w, base_tension, *others)
+            return jnp.stack([solution.tip_tension[0], solution.tip_angle]), solution
+
+        value, along, solution = jax.linearize(observed, w, base_tension, has_aux=True)
+        reverse = jax.vmap(jax.linear_transpose(along, w, base_tension))(jnp.eye(value.size))
+        return ((along(1.0, 0.0), along(0.0, 1.0)), reverse), solution
+
+    return jax.jit(jax.vmap(both))(*np.array([*LANES.values()]).T)
 
 
-@pytest.mark.parametrize(("tension", "direction"), [(75.0, 1.0), (12.0, 1.0), (40.0, -1.0)], ids=["in", "slack", "out"])
-def test_derivatives_by_drag_and_tension(tension, direction):
+def jacobians(name):
+    """(2, 2) each, forward and reverse, of tip tension and tip angle."""
+    return jax.tree.map(np.asarray, lane(batch()[0], [*LANES].index(name)))
+
+
+@pytest.mark.parametrize("name", ["in", "slack", "out"])
+def test_derivatives_by_drag_and_tension(name):
     """Against central differences of the closed form, whose error is of the size 1e-9 of the value over the step."""
+    _, tension, direction, _ = LANES[name]
     h = 1e-4
     ends = [by_scipy(W * (1 + x), tension, direction) for x in (h, -h)]
     by_w = (ends[0] - ends[1]) / (2 * h * W)
     ends = [by_scipy(W, tension * (1 + x), direction) for x in (h, -h)]
     expected = by_w, (ends[0] - ends[1]) / (2 * h * tension)
-    for mode in jacobians(W, tension, direction):
+    for mode in jacobians(name):
         np.testing.assert_allclose(mode, expected, rtol=1e-6, atol=1e-9)
 
 
@@ -276,7 +301,8 @@ def test_derivatives_where_there_is_no_tension():
     """Slack from the base on nothing changes; sliding out T' = w + a T^2 starts at 0, so that T is near w s."""
     h = 1e-4 * W
     expected = (by_scipy(W + h, 0.0, -1) - by_scipy(W - h, 0.0, -1)) / (2 * h)
-    for slack, (by_w, by_tension) in zip(jacobians(W, 0.0, 1.0), jacobians(W, 0.0, -1.0), strict=True):
+    both = jacobians("slack from the base"), jacobians("out from no tension")
+    for slack, (by_w, by_tension) in zip(*both, strict=True):
         np.testing.assert_array_equal(slack, 0.0)
         np.testing.assert_allclose(by_w, expected, rtol=1e-6)
         assert np.all(by_tension > 0)
@@ -284,7 +310,7 @@ def test_derivatives_where_there_is_no_tension():
 
 def test_derivative_where_there_is_no_drag():
     """At w = 0 d(delta T)/ds = -2 a T delta T - 1 with T = T_0 / (1 + a T_0 s), so delta T = -T^2 int ds / T^2."""
-    (by_w, _), _ = jacobians(0.0, 75.0, 1.0)
+    (by_w, _), _ = jacobians("no drag")
     a = MU * d / (E * J)
     z = 1 + a * 75.0 * LENGTH
     np.testing.assert_allclose(by_w[0], -(z**3 - 1) / (3 * a * 75.0) / z**2, rtol=1e-9)
@@ -292,16 +318,13 @@ def test_derivative_where_there_is_no_drag():
 
 def test_a_batch_is_a_loop():
     """Taut, slack before the tip, slack from the base, and a lane that fails; friction differs too."""
-    w, tension = np.array([W, W, W, 2 * W, -W]), np.array([75.0, 10.0, 0.0, 20.0, 30.0])
-    friction = (MU, 0.6, 0.1, MU, MU)
-    bodies = stack([replaced(CYLINDER, drag=x, friction_coefficient=mu) for x, mu in zip(w, friction, strict=True)])
-    batch = eqx.filter_jit(eqx.filter_vmap(lambda body, T: cddf.solve(body, T, throw=False)))(bodies, tension)
-    for i in range(5):
-        alone = cddf.solve(lane(bodies, i), tension[i], throw=False)
-        np.testing.assert_allclose(batch.tip_tension[i], alone.tip_tension, rtol=1e-13)
-        np.testing.assert_allclose(batch.tip_position[i], alone.tip_position, rtol=1e-13)
-        assert lane(batch, i).status == alone.status
-    assert lane(batch, 4).status == cddf.Status.unphysical
+    solutions = batch()[1]
+    for i, numbers in enumerate(LANES.values()):
+        alone = drawn(*numbers)
+        np.testing.assert_allclose(solutions.tip_tension[i], alone.tip_tension, rtol=1e-13)
+        np.testing.assert_allclose(solutions.tip_position[i], alone.tip_position, rtol=1e-13)
+        assert solutions.status[i] == alone.status
+    assert solutions.status[[*LANES].index("fails")] == cddf.Status.unphysical
 
 
 # --- without drag --------------------------------------------------------------------------------

@@ -24,12 +24,9 @@ def both(a):
     return implicit(Partial(gap, a, 2.0), (1 + jnp.sqrt(1 + 4 * x)) / 2, x[None])
 
 
-def root(a):
-    return both(a)[1][0]
-
-
-def values_with_a_root(a):
-    return both(a)[0]
+def root_and_values(a):
+    values, (x,) = both(a)
+    return jnp.stack([x, values])
 
 
 def grow(a, y):
@@ -42,14 +39,14 @@ def golden(a):
 
 
 # value, slope and curvature by hand
+ROOT, STEEP, BENT = np.sqrt(A / 2), 0.5 / np.sqrt(2 * A), -0.25 / np.sqrt(2) * A**-1.5
+INNER = 1 + 4 * ROOT
 CASES = {
-    "root": (root, np.sqrt(A / 2), 0.5 / np.sqrt(2 * A), -0.25 / np.sqrt(2) * A**-1.5),
-    "fixed point with a root": (
-        values_with_a_root,
-        (1 + np.sqrt(1 + 4 * np.sqrt(A / 2))) / 2,
-        (1 + 4 * np.sqrt(A / 2)) ** -0.5 * 0.5 / np.sqrt(2 * A),
-        -2 * (1 + 4 * np.sqrt(A / 2)) ** -1.5 * (0.5 / np.sqrt(2 * A)) ** 2
-        - (1 + 4 * np.sqrt(A / 2)) ** -0.5 * 0.25 / np.sqrt(2) * A**-1.5,
+    "root and fixed point": (
+        root_and_values,
+        np.stack([ROOT, (1 + np.sqrt(INNER)) / 2], axis=1),
+        np.stack([STEEP, INNER**-0.5 * STEEP], axis=1),
+        np.stack([BENT, INNER**-0.5 * BENT - 2 * INNER**-1.5 * STEEP**2], axis=1),
     ),
     "fixed point": (golden, (1 + np.sqrt(1 + 4 * A)) / 2, (1 + 4 * A) ** -0.5, -2 * (1 + 4 * A) ** -1.5),
 }

@@ -74,15 +74,16 @@ def test_a_path_ends_where_solve_does():
 
 def test_at_the_tip_it_is_a_load_on_the_tip():
     at_tip = cddf.Loads(points=[cddf.PointLoad(LENGTH, FORCE, MOMENT)])
-    one, other = (cddf.solve(pair(), TENSION, each) for each in (at_tip, cddf.Loads(FORCE, MOMENT)))
+    one, other = (cddf.solve(pair(), TENSION, each, direction=(1, 1)) for each in (at_tip, cddf.Loads(FORCE, MOMENT)))
     np.testing.assert_allclose(one.tip_position, other.tip_position, rtol=1e-12)
     np.testing.assert_allclose(one.base_moment, other.base_moment, rtol=1e-12)
 
 
 def test_a_point_mass_is_a_force():
     weighed = cddf.Manipulator(**{**vars(pair()), "point_masses": [cddf.PointMass(mass=0.02, arc_length=PLACE)]})
-    by_mass = cddf.solve(weighed, TENSION, cddf.Loads(gravity=(0.0, -9.81)))
-    by_force = cddf.solve(pair(), TENSION, cddf.Loads(points=[cddf.PointLoad(PLACE, (0.0, -0.02 * 9.81))]))
+    by_mass = cddf.solve(weighed, TENSION, cddf.Loads(gravity=(0.0, -9.81)), direction=(1, 1))
+    load = cddf.PointLoad(PLACE, (0.0, -0.02 * 9.81))
+    by_force = cddf.solve(pair(), TENSION, cddf.Loads(points=[load]), direction=(1, 1))
     np.testing.assert_allclose(by_mass.tip_position, by_force.tip_position, rtol=1e-12)
 
 
@@ -105,10 +106,13 @@ def test_derivatives_by_place_force_and_moment():
 
 
 def test_a_lane_whose_load_is_beside_the_body():
-    places = jax.vmap(
-        lambda place: cddf.solve(pair(), TENSION, cddf.Loads(points=[cddf.PointLoad(place, FORCE)]), throw=False).status
-    )(np.array([PLACE, 0.3, 0.1]))
-    np.testing.assert_array_equal(places == cddf.Status.unphysical, [False, True, False])
+    @jax.vmap
+    def status(place):
+        loads = cddf.Loads(points=[cddf.PointLoad(place, FORCE)])
+        return cddf.solve(pair(), TENSION, loads, direction=(1, 1), throw=False).status
+
+    found = status(np.array([PLACE, 0.3, 0.1]))
+    np.testing.assert_array_equal(found == cddf.Status.unphysical, [False, True, False])
 
 
 @pytest.mark.parametrize(

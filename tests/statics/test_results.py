@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import fields_at, paper_body, paper_plain, two_slanted_tendons
+from bodies import fields_at, paper_body, paper_plain, stack, two_slanted_tendons
 from refusals import refused
 
 import cddf_jax as cddf
@@ -211,7 +211,8 @@ def test_a_batch_is_refused_with_what_to_map():
             assert said.startswith(
                 f"{call.__name__}: {name} of the body has the shape (2,), as in a batch of bodies; use"
             )
-    one, batch = cddf.solve(body, 75.0), jax.vmap(lambda body: cddf.solve(body, 75.0))(bodies)
+    one = cddf.solve(body, 75.0)
+    batch = stack([one, one])
     assert "use jax.vmap(lambda equilibrium: equilibrium.at(s))(equilibria)" in refused(batch.at, 0.07)
     mapped = jax.vmap(lambda equilibrium: equilibrium.at(0.07))(batch)
     np.testing.assert_allclose(mapped.tension[1], one.at(0.07).tension, rtol=1e-14)  # as the remedy says
