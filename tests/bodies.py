@@ -62,10 +62,6 @@ def stack(bodies: Sequence[Any]) -> Any:
     return jax.tree.map(lambda *numbers: jnp.stack([jnp.asarray(x) for x in numbers]), *bodies)
 
 
-# compiled: `Equilibrium.at` outside jit dispatches one operation after the other
-fields_at = eqx.filter_jit(lambda solution, arc_length: solution.at(arc_length))
-
-
 def lane(batch: Any, i: int) -> Any:
     return jax.tree.map(lambda x: x[i], batch)
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bodies import fields_at
 from matplotlib.figure import Figure
 from places import ROOT
 from refusals import refused
@@ -171,7 +170,7 @@ def test_the_figure_is_to_scale_and_shows_both_bodies(found):
     before, after = curvature.lines
     assert [line.get_label() for line in (before, after)] == ["before", "after"]
     kappa = np.interp(1e3 * s, *after.get_data())
-    np.testing.assert_allclose(kappa, fields_at(found.equilibria[0], s).curvature, rtol=1e-3)
+    np.testing.assert_allclose(kappa, found.equilibria[0].at(s).curvature, rtol=1e-3)
     assert max(strain.lines[1].get_ydata()) == pytest.approx(10.5, abs=1e-3)  # %, the limit of the task
     assert shape.get_xlabel() == "$X$ (mm)"
 

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import PAPER, fields_at, one_kinematics_at_once, paper_body, paper_plain
+from bodies import PAPER, one_kinematics_at_once, paper_body, paper_plain
 from refusals import refused
 from scipy.integrate import quad
 from scipy.interpolate import CubicSpline
@@ -394,7 +394,7 @@ def test_a_shape_and_a_tip_that_a_body_has_are_found_again():
     truth = paper_body("exact", length=0.150, outer_radius=(0.018, 0.014))
     shape = cddf.solve(truth, T)
     places = np.linspace(0.02, 0.12, 6)
-    at = fields_at(shape, jnp.asarray(places))
+    at = shape.at(jnp.asarray(places))
     found = cddf.design(
         paper_body("exact"),
         [
@@ -411,7 +411,7 @@ def test_a_shape_and_a_tip_that_a_body_has_are_found_again():
     expected = {"outer_radius.base": 0.018, "outer_radius.tip": 0.014, "length": 0.150}
     assert found.value == pytest.approx(expected, rel=1e-4)
     by_name = {objective.name: objective for objective in found.objectives}
-    before = np.asarray(fields_at(found.equilibria_at_start[0], jnp.asarray(places)).position)
+    before = np.asarray(found.equilibria_at_start[0].at(jnp.asarray(places)).position)
     difference = np.sqrt(np.mean((before - np.asarray(at.position)) ** 2))
     assert by_name["near position"].start == pytest.approx(difference, rel=1e-6)
     assert by_name["near position"].end < 1e-5 * L

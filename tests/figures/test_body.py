@@ -5,7 +5,6 @@ from dataclasses import replace
 import matplotlib.colors
 import numpy as np
 import pytest
-from bodies import fields_at
 from matplotlib.collections import LineCollection
 from matplotlib.patches import FancyArrowPatch
 
@@ -79,7 +78,7 @@ def test_axes_are_to_scale_and_in_millimetres(figure):
 
 
 def test_the_outer_wall_is_where_it_is(figure, equilibrium):
-    there = fields_at(equilibrium, np.array([0.0, END, LENGTH]))
+    there = equilibrium.at(np.array([0.0, END, LENGTH]))
     normal = np.stack([-np.sin(there.heading), np.cos(there.heading)], axis=-1)
     wall = wall_of(figure)
     for side in (+1, -1):
@@ -90,7 +89,7 @@ def test_the_outer_wall_is_where_it_is(figure, equilibrium):
 def test_tendons_are_coloured_by_tension_and_end_at_their_anchors(figure, equilibrium):
     lines = [item for item in shape_of(figure).collections if isinstance(item, LineCollection)]
     assert len(lines) == 2
-    anchor = fields_at(equilibrium, np.array([END]))
+    anchor = equilibrium.at(np.array([END]))
     normal = np.array([-np.sin(anchor.heading[0]), np.cos(anchor.heading[0])])
     for line, side, base, tip in zip(lines, (+1, -1), (4.0, 1.0), np.asarray(equilibrium.tip_tension), strict=True):
         pieces, values = line.get_segments(), line.get_array()
@@ -163,7 +162,7 @@ def test_more_tendons_than_dash_patterns(equilibrium, monkeypatch):
     body = replace(LINK, tendons=(cddf.Tendon(0.005, end=END),) * count)
 
     def made_up(_, s):
-        fields = fields_at(equilibrium, s)
+        fields = equilibrium.at(s)
         return replace(fields, tension=fields.tension[:1] * np.arange(1, count + 1)[:, None])
 
     monkeypatch.setattr("cddf_jax.figures.along.fields_along", made_up)

@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import xarray
-from bodies import fields_at, paper_body
+from bodies import paper_body
 from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
 from matplotlib.image import imread
@@ -109,7 +109,7 @@ def test_every_name_is_there():
 def test_lines_along_the_body(bent, quantity):
     lines = figures.draw_along(PAIR, bent, quantity, Figure().subplots()).lines
     s = np.linspace(0.0, 0.140, 201)
-    along = fields_at(bent, s)
+    along = bent.at(s)
     expected = {
         "tension": along.tension,
         "curvature": [along.curvature],
@@ -132,7 +132,7 @@ def test_arrows_are_the_forces(bent):
     axes = figures.draw_force_arrows(PAIR, bent, Figure().subplots())
     normal, friction = (artist for artist in axes.collections if isinstance(artist, Quiver))
     s = 0.140 * (np.arange(10) + 0.45) / 10  # the middle of each tenth, a bit before
-    along = fields_at(bent, s)
+    along = bent.at(s)
     for arrows, force in ((normal, along.normal_force), (friction, along.friction_force)):
         np.testing.assert_allclose(np.stack([arrows.U, arrows.V], -1), np.reshape(force, (-1, 2)), rtol=1e-9)
     left = np.stack([-np.sin(along.heading), np.cos(along.heading)], axis=-1)

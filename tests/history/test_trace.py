@@ -18,7 +18,6 @@ from bodies import (
     both_modes,
     codes,
     draw_from,
-    fields_at,
     lane,
     one_kinematics_at_once,
     paper_body,
@@ -189,7 +188,7 @@ def test_a_pull_alone_is_a_solve():
     along = history.at(s), history.equilibria
     for step, tension in enumerate(tensions):
         found = cddf.solve(BODY, tension)
-        of_solve = fields_at(found, s), found.along
+        of_solve = found.at(s), found.along
         jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-11, atol=1e-11), lane(along, step), of_solve)
         np.testing.assert_allclose(history.tendon_displacement[step], found.tendon_displacement[0], rtol=1e-12)
 

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import both_modes, codes, fields_at, lane, paper_body, paper_with
+from bodies import both_modes, codes, lane, paper_body, paper_with
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
@@ -53,7 +53,7 @@ def test_a_pull_is_a_solve_and_what_rests_keeps_its_state(others):
     """Beyond the front of a release tension and curvature are those of the pull before."""
     robot, s = helix(0.3, **others), np.linspace(0, LENGTH, 57)
     history, found = cddf.trace(robot, [60.0, 50.0]), cddf.solve(robot, 60.0, direction=1)
-    along, of_solve = history.at(s), fields_at(found, s)
+    along, of_solve = history.at(s), found.at(s)
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9), lane(along, 0), of_solve)
     np.testing.assert_allclose(history.tip_frame[0], found.tip_frame, atol=1e-12)
     np.testing.assert_allclose(history.tendon_displacement[0], found.tendon_displacement[0], rtol=1e-12)

@@ -168,9 +168,10 @@ def test_trials_pretension_drag_and_zeros():
     """Two trials of different length, each from rest, of a body with a drag; cells zeroed under a pretension."""
     body = paper_body("exact", drag=4.0)
     paths = [LOOP, np.array([20.0, 60.0, 40.0, 75.0, 30.0, 10.0, 50.0])]
-    read = [cddf.trace(body, path + 1.5) for path in paths]
-    tip = np.concatenate([history.tip_tension for history in read]) - 1.5
-    angle = np.concatenate([history.tip_angle for history in read]) + 0.02
+    as_long = [np.pad(path, (0, LOOP.size - path.size), "edge") for path in paths]  # one program for both
+    read = [(cddf.trace(body, path + 1.5), slice(own.size)) for path, own in zip(as_long, paths, strict=True)]
+    tip = np.concatenate([history.tip_tension[rows] for history, rows in read]) - 1.5
+    angle = np.concatenate([history.tip_angle[rows] for history, rows in read]) + 0.02
     columns = {"base_tension": np.concatenate(paths) + 0.3, "tip_tension": tip, "tip_angle": angle}
     columns |= {"trial": np.repeat(["a", "b"], [33, 7]), "step": np.concatenate([np.arange(33), np.arange(7)])}
     truth = {"friction_coefficient": MU, "youngs_modulus": E, "drag": 4.0, "pretension": 1.5}

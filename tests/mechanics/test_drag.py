@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import PAPER, fields_at, lane, one_kinematics_at_once, paper_body, paper_plain, replaced
+from bodies import PAPER, lane, one_kinematics_at_once, paper_body, paper_plain, replaced
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 
@@ -135,7 +135,7 @@ def test_drag_alone_lowers_the_tension_linearly(kinematics, base_tension, direct
 def test_friction_force_of_drag_alone_is_the_drag_up_to_where_the_tendon_is_slack():
     """F_CDDF = T' t_c, eq. (10): -w t for a tendon parallel to the axis, and nothing beyond s = T_base / w."""
     solution = cddf.solve(replace(EXACT, friction_coefficient=0.0), 10.0)
-    along = fields_at(solution, np.array([0.0, 0.05, 0.0999, 0.1001, 0.14]))
+    along = solution.at(np.array([0.0, 0.05, 0.0999, 0.1001, 0.14]))
     axis = np.stack([np.cos(along.heading), np.sin(along.heading)], axis=-1)
     w = np.array([W, W, W, 0.0, 0.0])
     np.testing.assert_allclose(along.friction_force[0], -w[:, None] * axis, atol=1e-12)
@@ -168,7 +168,7 @@ def test_a_cylinder_follows_the_riccati_equation(base_tension, direction):
     """12 N are used up before the tip."""
     solution = cddf.solve(CYLINDER, base_tension, direction=direction, throw=False)
     s = np.linspace(0.0, LENGTH, 12)
-    along = fields_at(solution, s)
+    along = solution.at(s)
     # near the place where the tendon becomes slack, polynomials between the nodes round off a kink
     np.testing.assert_allclose(along.tension[0], cylinder_tension(base_tension, direction, s), rtol=1e-7, atol=2e-6)
     at_nodes = cylinder_tension(base_tension, direction, np.asarray(solution.arc_length))

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import fields_at, paper_body, paper_plain, two_slanted_tendons
+from bodies import paper_body, paper_plain, two_slanted_tendons
 from numpy.polynomial import legendre
 
 import cddf_jax as cddf
@@ -56,9 +56,9 @@ def imbalance(case, nodes):
     """Integral of both forces + T t_c at the base - T t_c at the tip, over the largest tension."""
     body, solution = solved(case, nodes)
     x, w = legendre.leggauss(40)
-    along = fields_at(solution, jnp.asarray((x + 1) / 2 * LENGTH))
+    along = solution.at(jnp.asarray((x + 1) / 2 * LENGTH))
     total = (w * LENGTH / 2) @ np.asarray(along.normal_force + along.friction_force)
-    ends = fields_at(solution, jnp.array([0.0, LENGTH]))
+    ends = solution.at(jnp.array([0.0, LENGTH]))
     pull = np.asarray(ends.tension)[..., None] * tangents(body, ends)
     return np.max(np.abs(total + pull[:, 0] - pull[:, 1])) / 75
 
@@ -107,7 +107,7 @@ def literal_moment(body, solution, points):
     tip force of eq. (7) comes on top.
     """
     s = np.linspace(0, LENGTH, points)
-    along = fields_at(solution, jnp.asarray(s))
+    along = solution.at(jnp.asarray(s))
     phi = np.asarray(along.heading)
     h = s[1] - s[0]
     axis = np.stack([np.cos(phi), np.sin(phi)], -1)
@@ -131,7 +131,7 @@ def test_the_double_integral_of_eq_13_is_the_local_equilibrium(case):
     for points in (57, 113, 225):
         s, moment = literal_moment(body, solution, points)
         EJ = 1.4e6 * np.array([paper_plain().second_moment(x) for x in s])
-        local = EJ * np.asarray(fields_at(solution, jnp.asarray(s)).curvature)
+        local = EJ * np.asarray(solution.at(jnp.asarray(s)).curvature)
         errors.append(np.max(np.abs(moment - local)) / np.max(local))
     assert errors[-1] < 1e-4
     orders = np.log2(np.array(errors[:-1]) / errors[1:])

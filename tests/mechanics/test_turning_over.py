@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import PAPER, PlainBody, both_modes, codes, fields_at, paper_body, paper_plain, paper_with
+from bodies import PAPER, PlainBody, both_modes, codes, paper_body, paper_plain, paper_with
 from loaded_bodies import PlainLoads, largest_difference, loaded_reference
 from scipy.integrate import quad
 
@@ -111,9 +111,9 @@ def test_antagonists_of_changing_advantage(kinematics, case, direction):
     np.testing.assert_allclose(solution.tip_tension, reference.tip_tension, rtol=TIP)
     if kinematics == "published":
         # one shape for every case
-        at = fields_at(solution, jnp.asarray(np.resize(reference.turning_points, 2)))
+        at = solution.at(jnp.asarray(np.resize(reference.turning_points, 2)))
         np.testing.assert_allclose(at.curvature, 0.0, atol=1e-4 * np.max(np.abs(reference.curvature)))
-    along = fields_at(solution, solution.arc_length)
+    along = solution.at(solution.arc_length)
     for name in ("curvature", "heading", "position", "tension", "wrap_angle", "friction_force"):
         ours, theirs = getattr(solution, name), getattr(along, name)
         np.testing.assert_allclose(ours, theirs, atol=1e-9 * np.max(np.abs(theirs)), err_msg=name)

@@ -5,7 +5,6 @@ import numpy as np
 import pandas
 import pytest
 import xarray
-from bodies import fields_at
 from scipy import stats
 
 import cddf_jax as cddf
@@ -23,7 +22,7 @@ def equilibrium():
 def test_a_dataset_holds_the_fields_with_units(equilibrium):
     """Against the equilibrium's own polynomials, and its tip against its scalars."""
     data = cddf.as_dataset(equilibrium)
-    fields = fields_at(equilibrium, np.linspace(0.0, 0.14, 201))
+    fields = equilibrium.at(np.linspace(0.0, 0.14, 201))
     assert data.tension.dims == ("tendon", "arc_length")
     assert data.normal_force.dims == ("tendon", "arc_length", "component")
     for name in ("curvature", "heading", "position", "tension", "wrap_angle", "normal_force", "friction_force"):
@@ -47,7 +46,7 @@ def test_a_frame_of_an_equilibrium_goes_through_csv(equilibrium, tmp_path):
     assert list(frame.columns[:4]) == ["arc_length [m]", "x [m]", "y [m]", "heading [rad]"]
     np.testing.assert_allclose(frame["x [m]"].iloc[-1], equilibrium.tip_position[0], rtol=1e-14)
     np.testing.assert_allclose(frame["tension_2 [N]"].iloc[-1], equilibrium.tip_tension[1], rtol=1e-14)
-    fields = fields_at(equilibrium, np.linspace(0.0, 0.14, 201))
+    fields = equilibrium.at(np.linspace(0.0, 0.14, 201))
     np.testing.assert_allclose(
         frame["friction_force_1_y [N/m]"], fields.friction_force[0, :, 1], rtol=1e-12, atol=1e-13
     )

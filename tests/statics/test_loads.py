@@ -14,7 +14,6 @@ from bodies import (
     PlainBody,
     codes,
     constant,
-    fields_at,
     paper_body,
     paper_plain,
     replaced,
@@ -111,7 +110,7 @@ def test_a_stepped_body_with_a_passive_tip_link():
     solution = cddf.solve(body, (50.0, 10.0), cddf.Loads(*loads), direction=(+1, -1))
     reference = loaded_reference(plain, (50.0, 10.0), loads, 1100.0, (+1, -1))
     assert largest_difference(solution, reference, plain) < AGREES
-    beyond = fields_at(solution, jnp.asarray([0.101, 0.13]))
+    beyond = solution.at(jnp.asarray([0.101, 0.13]))
     np.testing.assert_array_equal(beyond.tension, 0.0)
     assert abs(beyond.curvature[0]) > 1.0
 

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import fields_at, paper_body, two_slanted_tendons
+from bodies import paper_body, two_slanted_tendons
 
 import cddf_jax as cddf
 
@@ -47,7 +47,7 @@ def test_without_x64_everything_is_single():
     with jax.enable_x64(False):
         solution = cddf.solve(paper_body("published"), 75.0)
         closed = cddf.closed_form_tension(paper_body("published"), 75.0, 0.14)
-        at = fields_at(solution, np.float32(0.07))
+        at = solution.at(np.float32(0.07))
     for tree in (solution, closed, at):
         assert_all_single(tree)
     np.testing.assert_allclose(solution.tip_tension, [45.122927013148], rtol=SINGLE)

@@ -6,7 +6,6 @@ import pytest
 from bodies import (
     PAPER,
     constant,
-    fields_at,
     one_kinematics_at_once,
     paper_body,
     paper_plain,
@@ -55,7 +54,7 @@ def compare(body, plain, base_tension, direction=+1, nodes=16):
     np.testing.assert_allclose(solution.wrap_angle[:, -1], reference.wrap_angle, atol=POSITION)
     np.testing.assert_allclose(solution.tendon_displacement, reference.displacement, atol=POSITION * LENGTH)
     at = np.linspace(0, reference.arc_length.size - 1, 12).astype(int)  # one shape for every case
-    along = fields_at(solution, reference.arc_length[at])
+    along = solution.at(reference.arc_length[at])
     np.testing.assert_allclose(along.heading, reference.heading[at], atol=ALONG)
     np.testing.assert_allclose(along.position, reference.position[at], atol=ALONG * LENGTH)
 
@@ -138,7 +137,7 @@ def test_a_tendon_that_ends_before_the_tip():
 
 def test_nothing_bends_beyond_the_last_anchor():
     solution = cddf.solve(paper_with(cddf.Tendon(0.010, end=0.08)), 40.0)
-    beyond = fields_at(solution, np.array([0.0800001, 0.1, 0.14]))
+    beyond = solution.at(np.array([0.0800001, 0.1, 0.14]))
     np.testing.assert_array_equal(beyond.curvature, 0.0)
     np.testing.assert_array_equal(beyond.tension, 0.0)
     np.testing.assert_allclose(beyond.heading, solution.tip_angle, atol=1e-12)
@@ -167,7 +166,7 @@ def test_the_jump_at_a_kink_is_the_capstan_of_its_angle():
     heights = (0.008, 0.012, 0.010, 0.010)
     solution = cddf.solve(bent("exact", heights), 30.0)
     gap = 1e-9
-    before, after = (fields_at(solution, jnp.asarray(0.05 + side * gap)) for side in (-1, +1))
+    before, after = (solution.at(jnp.asarray(0.05 + side * gap)) for side in (-1, +1))
     # psi = phi + atan2(d', 1 - d kappa), docs/theory.md; d' = 0.08 before, -0.04 after
     psi = [
         float(at.heading + np.arctan2(slope, 1 - 0.012 * at.curvature))

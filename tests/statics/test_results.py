@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import fields_at, paper_body, paper_plain, stack, two_slanted_tendons
+from bodies import paper_body, paper_plain, stack, two_slanted_tendons
 from refusals import refused
 
 import cddf_jax as cddf
@@ -70,7 +70,7 @@ def test_the_other_failures_have_no_numbers():
     solution = cddf.solve(paper_body("exact"), -30.0, throw=False)
     for name in (*FIELDS, "tip_tension", "tension_loss", "tendon_displacement", "tip_position", "error_estimate"):
         assert np.all(np.isnan(getattr(solution, name))), name
-    assert np.all(np.isnan(fields_at(solution, np.array(0.07)).position))
+    assert np.all(np.isnan(solution.at(np.array(0.07)).position))
 
 
 def test_a_contradicted_direction_is_said_and_not_raised():
@@ -132,7 +132,7 @@ def test_the_capstan_law_along_the_body(pair):
 
 
 def test_at_outside_the_body_is_nan(pair):
-    at = fields_at(pair, jnp.array([-1e-9, 0.0, 0.14, 0.14 + 1e-9, jnp.nan]))
+    at = pair.at(jnp.array([-1e-9, 0.0, 0.14, 0.14 + 1e-9, jnp.nan]))
     outside = [True, False, False, True, True]
     np.testing.assert_array_equal(np.isnan(at.heading), outside)
     np.testing.assert_array_equal(np.isnan(at.position[:, 0]), outside)
@@ -143,7 +143,7 @@ def test_at_can_be_differentiated(pair):
     """Of the heading the curvature, of the position the axis t: docs/theory.md (1)."""
     s = jnp.asarray(0.0613)
     slope = jax.jit(jax.jacfwd(lambda s: (pair.at(s).heading, pair.at(s).position)))(s)
-    at = fields_at(pair, s)
+    at = pair.at(s)
     np.testing.assert_allclose(slope[0], at.curvature, rtol=1e-5)  # the slope of an interpolant of degree 8
     np.testing.assert_allclose(slope[1], [np.cos(at.heading), np.sin(at.heading)], rtol=1e-5)
 

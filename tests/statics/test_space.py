@@ -6,12 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import both_modes, fields_at, paper_body, paper_with
+from bodies import both_modes, paper_body, paper_with
 from scipy.integrate import solve_ivp
 
 import cddf_jax as cddf
 
 LENGTH = 0.14
+DIRECTION = (1, -1, -1)  # of three tendons, the first of which is pulled most
 
 
 def at_angle(angle, offset=0.010):
@@ -95,7 +96,7 @@ def test_a_body_of_the_plane_in_space():
     np.testing.assert_allclose(space.tip_angle, plane.tip_angle, atol=1e-10)
     np.testing.assert_allclose(space.tendon_displacement, plane.tendon_displacement, atol=1e-12)
     at = np.linspace(0.0, LENGTH, 9)
-    flat, there = fields_at(plane, at), fields_at(space, at)
+    flat, there = plane.at(at), space.at(at)
     np.testing.assert_allclose(there.curvature[:, 2], flat.curvature, atol=1e-8)
     np.testing.assert_allclose(there.curvature[:, :2], 0.0, atol=1e-10)
     np.testing.assert_allclose(there.tension, flat.tension, rtol=1e-10)
@@ -113,7 +114,7 @@ def test_forces_on_the_body_balance_the_reactions_at_the_base():
     """
     turns, first, force = np.array([0.25, 0.0]), np.array([0.0, 2.0]), np.array([0.0, 0.1, 0.2])
     body = paper_with(helix(0.25), at_angle(2.0))
-    found = cddf.solve(body, (40.0, 25.0), cddf.Loads(tip_force=force))
+    found = cddf.solve(body, (40.0, 25.0), cddf.Loads(tip_force=force), direction=1)
     x, weights = np.polynomial.legendre.leggauss(40)
     along, weights = found.at((x + 1) / 2 * LENGTH), LENGTH / 2 * weights
     forces, ends = along.normal_force + along.friction_force, found.at(np.array([0.0, LENGTH]))
@@ -191,14 +192,13 @@ def test_a_body_bent_too_far_says_so_and_has_no_slopes():
     body, loads = paper_with(*map(at_angle, (0.0, 2.1, 4.2))), cddf.Loads(tip_force=(0.0, 0.1, 0.1))
 
     def solved(pull):
-        return cddf.solve(body, jnp.array([pull, 0.0, 0.0]), loads, throw=False)
+        return cddf.solve(body, jnp.array([pull, 0.0, 0.0]), loads, direction=1, throw=False)
 
     failed = solved(3000.0)
     assert failed.status == cddf.Status.not_converged
     assert failed.num_load_steps == 0
-    forwards, backwards = (jax.jit(mode(lambda pull: solved(pull).tip_position)) for mode in (jax.jacfwd, jax.jacrev))
-    np.testing.assert_array_equal(forwards(3000.0), 0.0)
-    np.testing.assert_array_equal(backwards(3000.0), 0.0)
+    _, *slopes = both_modes(lambda pull: solved(pull[0]).tip_position)(jnp.array([3000.0]))
+    np.testing.assert_array_equal(slopes, 0.0)
 
 
 @pytest.mark.slow
@@ -207,12 +207,13 @@ def test_a_failing_lane_spoils_no_other():
     tensions = jnp.array([[20.0, 5.0, 5.0], [jnp.nan, 5.0, 5.0], [5000.0, 0.0, 0.0]])
 
     def tip(tension):
-        found = cddf.solve(body, tension, throw=False)
+        found = cddf.solve(body, tension, direction=DIRECTION, throw=False)
         return found.tip_position, found.status == cddf.Status.successful
 
     position, good = jax.jit(jax.vmap(tip))(tensions)
     assert good.tolist() == [True, False, False]
-    np.testing.assert_allclose(position[0], cddf.solve(body, tensions[0]).tip_position, atol=1e-13)
+    alone = cddf.solve(body, tensions[0], direction=DIRECTION)
+    np.testing.assert_allclose(position[0], alone.tip_position, atol=1e-13)
     gradient = jax.grad(lambda t: jnp.sum(jax.vmap(lambda x: tip(x)[0])(t)[0]))(tensions)
     assert np.all(np.isfinite(gradient))
 
@@ -266,9 +267,9 @@ def test_what_is_not_possible_in_space_is_refused():
 @pytest.mark.slow
 def test_targets_in_space():
     body = paper_with(at_angle(0.0), at_angle(2.1), at_angle(4.2))
-    given = cddf.solve(body, (30.0, 10.0, 5.0))
+    given = cddf.solve(body, (30.0, 10.0, 5.0), direction=DIRECTION)
     wanted = tuple(cddf.Displacement(x) for x in given.tendon_displacement[:2])
-    found = cddf.solve(body, (*wanted, 5.0), direction=given.direction)
+    found = cddf.solve(body, (*wanted, 5.0), direction=DIRECTION)
     np.testing.assert_allclose(found.base_tension, given.base_tension, rtol=1e-7)
     bent = cddf.solve(paper_with(at_angle(0.7)), cddf.TipAngle(0.5))
     np.testing.assert_allclose(bent.tip_angle, 0.5, atol=1e-9)
@@ -291,7 +292,8 @@ def test_the_compliance_of_the_tip_is_6_by_6_and_symmetric_without_friction():
     difference = (moved[0].tip_position - moved[1].tip_position) / (2 * step)
     np.testing.assert_allclose(compliance[:3, 2], difference, rtol=1e-6, atol=1e-9)
     three = paper_with(at_angle(0.0), at_angle(2.1), at_angle(4.2))
-    assert cddf.tip_jacobian(three, jnp.array([20.0, 5.0, 5.0])).base_tension.shape == (6, 3)
+    jacobian = jax.eval_shape(lambda pull: cddf.tip_jacobian(three, pull), jnp.array([20.0, 5.0, 5.0]))
+    assert jacobian.base_tension.shape == (6, 3)
 
 
 def test_a_body_and_its_equilibrium_in_words():

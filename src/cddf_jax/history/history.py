@@ -54,6 +54,19 @@ class Energies(eqx.Module):
     stored_energy: Float[Array, " steps"]
 
 
+@eqx.filter_jit
+def _known_energies(states: States, tip_angle: Float[Array, " steps"]) -> Energies:
+    """Compiled, as else each of work, loss and stored energy would trace all motions again."""
+    known = jnp.cumsum(jnp.isnan(tip_angle)) == 0  # after a failed step a sum is not known
+    return jax.vmap(nan_unless)(known, states.energies())
+
+
+@eqx.filter_jit
+def _known_fields(states: States, tip_angle: Float[Array, " steps"], arc_length: Float[Array, " points"]) -> AnyFields:
+    """Compiled, as else every operation would be a call of its own."""
+    return jax.vmap(nan_unless)(~jnp.isnan(tip_angle), states.fields(arc_length))
+
+
 class History(eqx.Module):
     """The states of a manipulator after each step of a path; the axis of steps comes first.
 
@@ -113,8 +126,7 @@ class History(eqx.Module):
     @property
     def _energies(self) -> Energies:
         self._check_single("work")
-        known = jnp.cumsum(jnp.isnan(self.tip_angle)) == 0  # after a failed step a sum is not known
-        return jax.vmap(nan_unless)(known, self._states.energies())
+        return _known_energies(self._states, self.tip_angle)
 
     def _check_single(self, asked: str) -> None:
         """Refuse a batch.
@@ -145,7 +157,7 @@ class History(eqx.Module):
             arc_length: s, m, a number or an array of any shape; the fields are NaN outside 0 to L.
         """
         s = self._places("at(s)", arc_length)
-        fields = jax.vmap(nan_unless)(~jnp.isnan(self.tip_angle), self._states.fields(s.ravel()))
+        fields = _known_fields(self._states, self.tip_angle, s.ravel())
         fields = jax.tree.map(lambda x: x.reshape(x.shape[0], *s.shape, *x.shape[2:]), fields)
         return jax.vmap(lambda step: tendons_first(step, s.ndim))(fields)
 

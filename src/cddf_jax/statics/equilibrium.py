@@ -145,7 +145,7 @@ class Equilibrium(eqx.Module):
         self._check_single("at(s)")
         check_numbers("at: arc_length", arc_length)
         s = jnp.asarray(arc_length, self.arc_length.dtype)
-        fields = jax.vmap(self._dense)(s.ravel())
+        fields = _along(self._dense, s.ravel())
         return tendons_first(jax.tree.map(lambda x: x.reshape(s.shape + x.shape[1:]), fields), s.ndim)
 
 
@@ -211,6 +211,11 @@ class Dense(eqx.Module):
         strain = strain - section.rest
         bent = jnp.abs(self.manipulator.outer_strain(arc_length, length_of(strain[1:3])))
         return bent + jnp.abs(strain[3]) if section.extensible else bent
+
+
+@eqx.filter_jit
+def _along(dense: Dense, arc_length: Float[Array, " points"]) -> AnyFields:
+    return jax.vmap(dense)(arc_length)
 
 
 _peak_strain = eqx.filter_jit(Dense.peak_strain)
