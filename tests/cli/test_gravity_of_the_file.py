@@ -27,6 +27,7 @@ gravity = "0, 0 m/s^2"
 [[case]]
 base_tension = "50 N"
 tip_force = "0, -1 N"
+point_loads = ["60 mm: 0, -2 N and 0.1 N m"]
 [[objective]]
 least = "volume"
 """
@@ -111,6 +112,8 @@ def test_every_case_of_a_design_takes_it_unless_it_has_its_own(task):
     assert off is None
     assert np.asarray(pushed.gravity).tolist() == list(DOWN)
     assert np.asarray(pushed.tip_force).tolist() == [0.0, -1.0]
+    (point,) = pushed.points
+    assert [np.asarray(load).tolist() for load in (point.arc_length, point.force, point.moment)] == [0.06, [0, -2], 0.1]
     assert task.read_as == ("gravity (0, -9.81) m/s^2, of the robot file, in every case without a gravity of its own",)
 
 

@@ -152,6 +152,20 @@ def test_loads_in_space():
     assert found == [[0.0, -5.0, 1.0], [0.0, 0.0, 0.1], [0.0, 0.0, -9.81]]
 
 
+def test_loads_at_places_of_the_body():
+    loads = read_loads(None, None, None, ["60 mm: 0, -1 N", "0.1 m: 1, 0, 0 N and 0, 0, 100 N mm"])
+    assert loads is not None
+    found = [[np.asarray(x).tolist() for x in (each.arc_length, each.force, each.moment)] for each in loads.points]
+    assert found == [[0.06, [0.0, -1.0], 0.0], [0.1, [1.0, 0.0, 0.0], [0.0, 0.0, 0.1]]]
+    for text, message in (
+        ("0, -1 N", "needs a place and a force, got '0, -1 N'; write for example '60 mm: 0, -1 N'"),
+        ("60: 0, -1 N", "needs a unit of length, got '60'; write for example '12.5 mm'"),
+        ("60 mm: 0, -1 m", "X needs a unit of force, got '0 m'; write for example '12.5 N'"),
+        ("60 mm: 0, -1 N and 1 N", "needs a unit of moment, got '1 N'; write for example '12.5 N m'"),
+    ):
+        assert refused(read_loads, None, None, None, [text]) == f"--point-load {message}"
+
+
 @pytest.mark.parametrize(
     ("texts", "mounted", "force", "gravity"),
     [

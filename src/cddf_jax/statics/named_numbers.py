@@ -171,6 +171,8 @@ def _unknown(name: str, places: Mapping[str, Place]) -> str:
         remedy = f"give {stem} a number for each tendon; then each of them has a name"
     elif (counted := _counted(name)) != name:
         remedy = f"tendons count from 1; write {counted!r}"
+    elif name.startswith("loads.points."):
+        remedy = "there is no such point load; give it first, by --point-load or Loads(points=...)"
     elif close := get_close_matches(name, [*known, *places], 1):
         remedy = f"did you mean {close[0]!r}?"
     else:

@@ -43,7 +43,9 @@ SHARE = 0.25  # of the free memory
 DEFAULT_OUTPUTS = ("tip_tension", "tip_position", "tip_angle")
 Values = Sequence[object] | np.ndarray | jax.Array  # along one axis
 Observable = Callable[[Equilibrium], ArrayLike]
-_OF_SPACE = re.compile(r"loads\.((tip_force|gravity)\.2|tip_moment\.[0-2])")  # components that only space has
+_OF_SPACE = re.compile(  # components that only space has
+    r"loads\.((tip_force|gravity|points\.\d+\.force)\.2|(tip_moment|points\.\d+\.moment)\.[0-2])"
+)
 
 
 def sweep(
