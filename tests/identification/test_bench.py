@@ -181,8 +181,8 @@ def test_every_parameter_reaches_the_readings(paper):
 
 def test_which_rows_lie_beyond_the_data(paper):
     """By hand, in base tension and in either component of the tip force."""
-    data = Bench(np.array([[10.0], [40.0]]), (None,), np.array([(0.0, -1.0), (0.0, -1.0)]))
-    force = np.array([(0.0, -1.0), (0.0, -1.1), (0.1, -1.0), (0.0, -1.0)])
+    data = Bench(np.array([[10.0], [40.0]]), (None,), np.array([[(0.0, -1.0)], [(0.0, -1.0)]]))
+    force = np.array([[(0.0, -1.0)], [(0.0, -1.1)], [(0.1, -1.0)], [(0.0, -1.0)]])
     wanted = Bench(np.array([[20.0], [20.0], [20.0], [41.0]]), (None,), force)
     assert beyond_the_data(wanted, BenchModel(paper, (data,), 16)).tolist() == [False, True, True, True]
 

@@ -383,7 +383,7 @@ def test_the_course_of_several_tendons():
     course, found = course_of(pair_table(base_tension_2=second))
     steady = found["base_tension_2"]
     assert course.short_steps == 4
-    assert course.tip_force is None
+    assert course.forces is None
     assert course.readings.shape == (1, 20, 2)
     np.testing.assert_allclose(course.readings[0, :, 0], PULLS)
     np.testing.assert_allclose(course.readings[0, :, 1], np.mean(second))
@@ -391,9 +391,10 @@ def test_the_course_of_several_tendons():
     np.testing.assert_array_equal(course.before_turns, np.arange(20) < 10)
     force = np.where(np.arange(20) < 10, -0.2, -0.5)
     course = course_of(pair_table(tip_force_y=force))[0]
-    np.testing.assert_allclose(course.tip_force[0, :, 1], force)
-    assert not course.force_stays
-    assert course_of(pair_table(tip_force_y=np.full(20, -0.2)))[0].force_stays
+    np.testing.assert_allclose(course.forces[0, :, 0, 1], force)
+    assert course.stays == (False,)
+    both = course_of(pair_table(**{"tip_force_y": force, "force_y@60mm": np.full(20, -0.2)}))[0]
+    assert both.stays == (False, True)
     with pytest.raises(InputError, match="pair: before holds tensions of 1 tendons, but there are 2 columns of"):
         course_of(pair_table(), starts=[Start((60.0,))])
     with pytest.raises(InputError, match="fit: short_steps must be a whole number of 2 or more, got 1"):

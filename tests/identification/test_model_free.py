@@ -173,7 +173,7 @@ def test_one_level_cannot_show_a_drift():
 
 def test_what_the_verdict_cannot_check_it_mentions():
     both = model_free_friction(table_of(BASE, ANGLE, tip_force_y=np.ones(24)))
-    assert any("A force acts on the tip" in line for line in both.verdict)
+    assert any("A force acts on the body" in line for line in both.verdict)
     angle = np.where(BASE > 40, -ANGLE, ANGLE)
     signs = Measurements.from_columns(base_tension=BASE, tip_tension=BASE * np.exp(-MU * ANGLE), tip_angle=angle)
     assert any("both signs" in line for line in model_free_friction(signs).verdict)

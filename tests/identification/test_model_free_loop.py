@@ -58,7 +58,7 @@ def test_friction_without_a_model_takes_the_pull():
     [
         (table_of(np.ones(3), np.ones(3)), "0 rows in which all of the tendon slides out; 2 of each are needed"),
         (table(columns=["tip_angle"]), "no column 'tip_tension'; a loop needs base_tension and tip_tension"),
-        (read(tip_force_y=np.ones(33)), "a loop without a model needs one tendon and no force on the tip; use fit"),
+        (read(tip_force_y=np.ones(33)), "a loop without a model needs one tendon and no force on the body; use fit"),
     ],
 )
 def test_what_is_refused(rows, message):

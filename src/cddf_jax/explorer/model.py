@@ -17,6 +17,7 @@ from ..files.manipulator_file import manipulator_text
 from ..identification.bench import Bench, experiment_of
 from ..identification.course import course_of, is_driven_by_length, paths_of
 from ..identification.parameters import BenchSetting
+from ..measurements.forces import force_column
 from ..measurements.table import Measurements
 from ..mechanics.directions import as_directions
 from ..mechanics.fields import AnyFields, SpatialFields
@@ -199,7 +200,7 @@ class Exploration:
 
     def _is_exact(self, table: Measurements) -> bool:
         """Whether a history of these rows has an exact answer: one tendon without loads."""
-        loaded = any(column.startswith("tip_force") and np.any(table[column]) for column in table.columns)
+        loaded = any(force_column(column) and np.any(table[column]) for column in table.columns)
         return self.manipulator.num_tendons == 1 and not loaded and self.setting.loads is None
 
     @property

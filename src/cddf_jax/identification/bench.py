@@ -5,7 +5,7 @@ cell reads gain * (tension - pretension) + zero: `pretension` is the tension tha
 zero.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -20,6 +20,7 @@ from jaxtyping import Array, Float, Int
 from ..errors import InputError, within
 from ..history.history import History
 from ..measurements.columns import is_reading
+from ..measurements.forces import check_on_body, forces_of
 from ..measurements.left_out import numbered
 from ..measurements.markers import Marker, marker_column, marker_positions, markers_of, seen
 from ..measurements.readings import NAMED, READINGS, columns_of, kind_of, kind_of_set, of_tendons, set_by, tendon_number
@@ -27,13 +28,13 @@ from ..measurements.table import Measurements
 from ..mechanics.capstan import pulling_tension
 from ..progress import stage
 from ..quantities import TAKE_THE_PLANE
-from ..robot.loads import Loads
+from ..robot.loads import Loads, PointLoad
 from ..robot.manipulator import Manipulator, in_space
 from ..robot.validation import check_loads
 from ..statics.equilibrium import Equilibrium
 from ..statics.solve import solve
 from ..units import shown
-from .course import Course, Shown, tip_forces
+from .course import Course, Shown
 from .parameters import (
     PLAIN,
     TRIALS,
@@ -83,26 +84,32 @@ class AllRows(eqx.Module):
     marker_names: tuple[str, ...] = eqx.field(default=(), static=True)
     arc_length: Float[np.ndarray | Array, " markers"] = eqx.field(default_factory=lambda: np.zeros(0))  # m
     offset: Float[np.ndarray | Array, "markers 3"] = eqx.field(default_factory=lambda: np.zeros((0, 3)))  # m
+    force_at: tuple[float, ...] = eqx.field(default=(), static=True)  # m, of the forces in the rows besides the tip's
 
     @classmethod
-    def of(cls, setting: BenchSetting, markers: Mapping[str, Marker]) -> "AllRows":
-        """The setting with these markers, by their names."""
+    def of(cls, setting: BenchSetting, markers: Mapping[str, Marker], force_at: Iterable[float] = ()) -> "AllRows":
+        """The setting with these markers, by their names, and places of forces, m."""
         places = np.array([float(marker.arc_length) for marker in markers.values()])
         offset = np.array([(*marker.offset, 0.0)[:3] for marker in markers.values()], float).reshape(-1, 3)
         numbers = {name: np.asarray(value, float) for name, value in setting.given.items()}
-        return cls(setting.loads, numbers, tuple(markers), places, offset)
+        return cls(setting.loads, numbers, tuple(markers), places, offset, tuple(force_at))
 
-    def loads_with(self, tip_force: Array | None, parameters: Parameters, components: int = 2) -> Loads | None:
-        """All loads of a row, with gravity turned by the parameters; tip forces may have an axis of steps."""
+    def loads_with(
+        self, forces: Float[Array, "*steps places axes"] | None, parameters: Parameters, components: int = 2
+    ) -> Loads | None:
+        """All loads of a row or of the steps of a path, with gravity turned by the parameters; the tip comes first."""
+        if forces is None and self.loads is None:
+            return None
+        own = jnp.zeros((1 + len(self.force_at), 2)) if forces is None else forces
+        points = [PointLoad(place, own[..., i, :]) for i, place in enumerate(self.force_at, 1)]
+        of_rows = Loads(own[..., 0, :], points=points).with_components(components)
         if self.loads is None:
-            return None if tip_force is None else Loads(tip_force=tip_force).with_components(components)
+            return of_rows
         loads, turn = self.loads.with_components(components), turn_of(parameters, "gravity_turn")
         if turn is not None:
             loads = replace(loads, gravity=seen(jnp.asarray(loads.gravity), jnp.zeros(3), turn))
-        if tip_force is None:
-            return loads
-        more = Loads(tip_force=tip_force).with_components(components).tip_force
-        return replace(loads, tip_force=jnp.asarray(loads.tip_force) + jnp.asarray(more))
+        tip_force = jnp.asarray(loads.tip_force) + jnp.asarray(of_rows.tip_force)
+        return replace(loads, tip_force=tip_force, points=(*loads.points, *of_rows.points))
 
     def markers_on(self, found: Equilibrium | History) -> Float[Array, "*steps markers components"] | None:
         """The positions of the markers, m, those of a history after each step; None without markers."""
@@ -119,7 +126,7 @@ class Bench(eqx.Module):
 
     actuation: Float[np.ndarray | Array, "rows tendons"]  # as read: base tensions, N, or displacements, m
     direction: tuple[Float[np.ndarray | Array, " rows"] | None, ...]  # one per tendon, None where it is to be found
-    tip_force: Float[np.ndarray | Array, "rows components"] | None = None
+    forces: Float[np.ndarray | Array, "rows places components"] | None = None  # N: on the tip, and as in `AllRows`
     trial: Int[np.ndarray | Array, " rows"] | None = None  # the index of the trial, for its deviation of friction
     columns: tuple[str, ...] = eqx.field(default=(), static=True)
     name: str = eqx.field(default="", static=True)
@@ -132,7 +139,7 @@ class Bench(eqx.Module):
     @property
     def on_one_curve(self) -> bool:
         """Whether the rows lie on one curve: that of a body without loads whose only tendon is pulled in."""
-        free = self.tip_force is None and self.setting.loads is None
+        free = self.forces is None and self.setting.loads is None
         if not free or self.actuation.shape[1] > 1:
             return False
         if self.course is not None:
@@ -153,8 +160,8 @@ class Bench(eqx.Module):
 
     def components(self, manipulator: Manipulator) -> int:
         """How many components positions have in the rows; static."""
-        loads, force = self.setting.loads, self.tip_force
-        least = 2 if loads is None else loads.components, 2 if force is None else force.shape[-1]
+        loads, forces = self.setting.loads, self.forces
+        least = 2 if loads is None else loads.components, 2 if forces is None else forces.shape[-1]
         return max(manipulator.components, *least)
 
     def in_space(self, manipulator: Manipulator) -> bool:
@@ -166,7 +173,7 @@ class Bench(eqx.Module):
 
         Under loads in space all rows of a batch would wait for the slowest one.
         """
-        loaded = self.tip_force is not None or self.setting.loads is not None
+        loaded = self.forces is not None or self.setting.loads is not None
         return loaded and self.in_space(manipulator)
 
     def shown(self, manipulator: Manipulator, parameters: Parameters, nodes: int) -> Shown:
@@ -195,8 +202,8 @@ class Bench(eqx.Module):
             return found if self.tendons is None else _with_slack_ones(found, self.tendons, body.num_tendons)
         tension = _true_tension(parameters, jnp.asarray(self.actuation), of_set_ones)
 
-        def one(tension, direction, force, deviation):
-            loads = self.setting.loads_with(force, parameters, components)
+        def one(tension, direction, forces, deviation):
+            loads = self.setting.loads_with(forces, parameters, components)
             here = with_deviation(body, deviation)
             found = solve(here, tension, loads, direction=direction, nodes=nodes, throw=False)
             return Shown(
@@ -209,8 +216,8 @@ class Bench(eqx.Module):
                 self.setting.markers_on(found),
             )
 
-        force = None if self.tip_force is None else jnp.asarray(self.tip_force)
-        rows = tension, jax.tree.map(jnp.asarray, self.direction), force, deviation
+        forces = None if self.forces is None else jnp.asarray(self.forces)
+        rows = tension, jax.tree.map(jnp.asarray, self.direction), forces, deviation
         return jax.lax.map(lambda row: one(*row), rows) if self.one_by_one(body) else jax.vmap(one)(*rows)
 
     def readings(self, shown: Shown, columns: Sequence[str], parameters: Parameters) -> dict[str, Array]:
@@ -276,7 +283,7 @@ class Bench(eqx.Module):
         def padded(arrays):
             return jax.tree.map(lambda x: np.pad(x, ((0, fill), *[(0, 0)] * (np.ndim(x) - 1)), mode="edge"), arrays)
 
-        own = padded((self.actuation, self.direction, self.tip_force, self.trial))
+        own = padded((self.actuation, self.direction, self.forces, self.trial))
         course = self.course
         if course is not None:
             trial, step = padded((course.trial, course.step))
@@ -413,18 +420,20 @@ def experiment_of(
                 f"the table gives the position of the marker {twice[0]!r} already; leave it out of the setting"
             )
         found = markers_of(columns, {**setting.markers, **table.markers}, float(np.asarray(manipulator.length)))
-        force, given = tip_forces(table), set_by(table.columns)
+        (force_at, forces), given = forces_of(table.columns, len(table)), set_by(table.columns)
+        check_on_body(force_at, float(np.asarray(manipulator.length)))
+        forced = bool(np.any(forces))
         tendons = np.array([tendon_number(column) - 1 for column in given])
         bench = Bench(
             np.stack([table[column] for column in given], axis=1),
             tuple(map(table.columns.get, of_tendons("direction", manipulator.num_tendons))),
-            force if np.any(force) else None,
+            forces if forced else None,
             first_trial + table.trial if "trial" in table else None,
             tuple(columns),
             table.name,
             {column: np.flatnonzero(table.has(column)) for column in columns if not np.all(table.has(column))},
             course,
-            AllRows.of(setting, found),
+            AllRows.of(setting, found, force_at.values() if forced else ()),
             tendons if tendons.size < manipulator.num_tendons else None,
         )
         _check_body(table, bench, manipulator, zero_is_free="angle_zero" in free)

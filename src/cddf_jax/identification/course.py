@@ -19,6 +19,7 @@ from ..history.history import History
 from ..history.path import given_path
 from ..history.stepped import Following, stepped_history
 from ..history.trace import trace
+from ..measurements.forces import forces_of
 from ..measurements.holds import NO_STEP
 from ..measurements.jitter import Steady, without_jitter
 from ..measurements.readings import kind_of, kind_of_set, set_by
@@ -35,13 +36,13 @@ STEPS = 16  # paths are traced in multiples of this number, so that tables share
 FEW_STEPS = 4  # the same for paths that are followed in increments
 ELEMENTS_IN_FITS = 2  # times the nodes, half as many as `trace` takes: their error is told beside the estimates
 SHORT_STEPS = 4  # in each step of a path without an exact answer
-EACH = "each"  # of a history: every row is pulled from rest, all tensions and tip forces in proportion
+EACH = "each"  # of a history: every row is pulled from rest, all tensions and forces in proportion
 CLOSE = 0.1  # standard errors: sums of squares have kinks where fronts pass nodes, about which searches would wander
 MOST_REMEMBERED = 60  # turns whose effect on later rows counts in the errors of base tensions
 WITHOUT = "give history=False (--no-history), which lets each tendon slide one way in each row"
 
 
-LoadsWith = Callable[[Float[Array, "*steps components"] | None], Loads | None]
+LoadsWith = Callable[[Float[Array, "*steps places components"] | None], Loads | None]
 MarkersOn = Callable[[History], Float[Array, "steps markers components"] | None]
 
 
@@ -69,8 +70,9 @@ class Course(eqx.Module):
     first_row: Int[np.ndarray | Array, " trials"]  # a row of each trial
     max_turns: int = eqx.field(static=True)
     past: Past | None = None  # None: all trials start from rest
-    tip_force: Float[np.ndarray | Array, "trials steps components"] | None = None  # N
-    force_stays: bool = eqx.field(default=False, static=True)  # whether it is constant, and acts before the first step
+    forces: Float[np.ndarray | Array, "trials steps places components"] | None = None  # N, those on the tip first
+    stays: tuple[bool, ...] = eqx.field(default=(), static=True)  # of each place, whether its force is constant; then
+    # it acts before the first step
     short_steps: int | None = eqx.field(default=None, static=True)  # of each step; None where the answer is exact
     by_length: tuple[bool, ...] = eqx.field(default=(False,), static=True)  # of each tendon, if displacements
     time: Float[np.ndarray | Array, "trials steps"] | None = None  # s, where the body comes after the motors
@@ -183,24 +185,24 @@ class Course(eqx.Module):
         Args:
             body: whose tendons are pulled.
             tension: (trials, path, tendons), what was truly set along `path`: base tensions, N, or displacements, m.
-            loads_with: gives all loads for a tip force, of one row or of all steps of a path.
+            loads_with: gives all loads for the forces of one row or of all steps of a path.
             markers_on: gives the markers after each step.
             deviation: (trials,), ln(mu of a trial / mu), or None.
             nodes: as in `trace`; in increments there are twice as many elements as nodes.
         """
 
-        def one(tension: Array, force: Array | None, deviation: Array | None):
+        def one(tension: Array, forces: Array | None, deviation: Array | None):
             here = with_deviation(body, deviation)
             if self.short_steps is None:
                 (path,) = self._driven(tension)
                 found = trace(here, path, nodes=nodes, max_turns=self.max_turns, throw=False)
             else:
-                found = self._in_increments(here, tension, force, loads_with, nodes)
+                found = self._in_increments(here, tension, forces, loads_with, nodes)
             pulled, tips = (x.reshape(tension.shape) for x in (found.tendon_displacement, found.tip_tension))
             return Shown(pulled, tips, found.tip_angle, found.tip_position, found.status, None, markers_on(found))
 
-        force = None if self.tip_force is None else jnp.asarray(self.tip_force)
-        trials = tension, force, deviation
+        forces = None if self.forces is None else jnp.asarray(self.forces)
+        trials = tension, forces, deviation
         # increments that need not be cut cost nothing one by one; in a batch they would
         every = jax.vmap(one)(*trials) if self.short_steps is None else jax.lax.map(lambda each: one(*each), trials)
         step = self.step + (self.past is not None)
@@ -213,14 +215,15 @@ class Course(eqx.Module):
         return [Displacement(own) if by_length else own for by_length, own in lengths]
 
     def _in_increments(
-        self, body: Manipulator, tension: Array, force: Array | None, loads_with: LoadsWith, nodes: int
+        self, body: Manipulator, tension: Array, forces: Array | None, loads_with: LoadsWith, nodes: int
     ) -> History:
         """One path."""
         assert self.short_steps is not None
         num_before = 0 if self.past is None else 1
         given = self._driven(tension[num_before:]) if any(self.by_length) else tension[num_before:]
-        path, driven = given_path(body, given, loads_with(force))
-        resting = loads_with(force[0] if force is not None and self.force_stays else None)
+        path, driven = given_path(body, given, loads_with(forces))
+        staying = np.array(self.stays)[:, None]
+        resting = loads_with(forces[0] * staying if forces is not None and np.any(staying) else None)
         path = path._replace(resting=jax.tree.map(lambda x: jnp.asarray(x, float), resting))
         path = path.behind(tension[0]) if num_before else path
         return stepped_history(
@@ -250,7 +253,7 @@ def between(course: Course, points: int) -> tuple[Course, list[np.ndarray]]:
     trial, step = np.repeat(np.arange(len(paths)), sizes), np.concatenate([*map(np.arange, sizes)])
     first_row = np.cumsum([0, *sizes[:-1]])
     columns = [path[:, None] for path in paths]
-    none = [0 * path for path in columns]
+    none = [np.zeros((len(path), 1, 2)) for path in columns]
     found = _course(columns, none, trial, step, first_row, course.past, None, course.by_length, times or None)
     return replace(found, number=course.number), paths
 
@@ -266,32 +269,25 @@ def _course(
     by_length: tuple[bool, ...],
     times: Sequence[np.ndarray] | None = None,
 ) -> Course:
-    """From what was set and the forces of each path, (steps, tendons) and (steps, components), and its times."""
+    """From what was set and the forces of each path, (steps, tendons) and (steps, places, components), and times."""
     longest = max(map(len, paths))
     if longest > 1:
         longest += -longest % (STEPS if short_steps is None else FEW_STEPS)
     readings, force = (
-        np.stack([np.pad(each, ((0, longest - len(each)), (0, 0)), mode="edge") for each in every])
+        np.stack([np.pad(one, ((0, longest - len(one)), *[(0, 0)] * (one.ndim - 1)), mode="edge") for one in every])
         for every in (paths, forces)
     )
-    most, tip_force = 0, force if np.any(force) else None
+    most, acting = 0, force if np.any(force) else None
     if short_steps is None:
         above = [] if past is None else [2 * max(np.max(readings), np.max(np.asarray(past.stated)), 1.0)]
         above = [np.max(readings) + 1, np.min(readings) - 1] if any(by_length) else above  # it may be pulled from slack
         most = max(_most_open(np.append(above, path)) for path in paths)
         most *= 1 if times is None else 2  # the turns of a lagging path lie elsewhere
-    stays = bool(np.all(force == force[:, :1])) and tip_force is not None
+    stays = () if acting is None else tuple(np.all(force == force[:, :1], axis=(0, 1, 3)).tolist())
     time = None
     if times is not None:
         time = np.stack([np.append(own, own[-1] + 1.0 + np.arange(longest - own.size)) for own in times])
-    return Course(readings, trial, step, first_row, most, past, tip_force, stays, short_steps, by_length, time)
-
-
-def tip_forces(table: Measurements) -> Float[np.ndarray, "rows components"]:
-    """The tip forces, N; with three components where there is a column of the third."""
-    none = np.zeros(len(table))
-    axes = "xyz" if "tip_force_z" in table else "xy"
-    return np.stack([table.columns.get(f"tip_force_{axis}", none) for axis in axes], axis=1)
+    return Course(readings, trial, step, first_row, most, past, acting, stays, short_steps, by_length, time)
 
 
 def is_driven_by_length(table: Measurements) -> bool:
@@ -356,14 +352,14 @@ def course_of(
         starts: how each trial begins; None: from rest.
         short_steps: into how many increments each step is divided where the answer is not exact.
         paths: the rows of each path; None: those of each trial.
-        stepped: whether loads besides the tip forces, or friction besides that on the body, rule out an exact answer.
+        stepped: whether loads of all rows, or friction besides that on the body, rule out an exact answer.
         timed: whether the body may come after motors, so that the times of the rows count.
 
     Raises:
         InputError: for a column `direction` of a single tendon that contradicts the order of the rows, a largest
             tension before a trial that is below that of its first row, or a past of another number of tendons.
     """
-    rows, force = len(table), tip_forces(table)
+    rows, force = len(table), forces_of(table.columns, len(table))[1]
     pulled = set_by(table.columns)
     by_length = tuple(kind_of(column) == "displacement" for column in pulled)
     exact = len(pulled) == 1 and not np.any(force) and not stepped
@@ -387,7 +383,7 @@ def course_of(
         steadied = [_steady(table[column][own], known.get(column, known.get(kind_of_set(column)))) for column in pulled]
         if len(pulled) == 1 and not np.any(force):
             _check_directions(table, own, steadied[0], start)
-        given = np.stack([*(steady.tension for steady in steadied), *force[own].T], axis=1)
+        given = np.stack([*(steady.tension for steady in steadied), *force[own].reshape(len(own), -1).T], axis=1)
         moved = np.append(True, np.any(np.diff(given, axis=0) != 0, axis=1) | timed)
         trial[own], step[own] = len(every), np.cumsum(moved) - 1
         every.append(given[moved])
@@ -395,7 +391,8 @@ def course_of(
         found.append(steadied)
         first.append(own[0])
     places = [f"{table.name}: {table.place(int(row))}" for row in first]
-    tensions, forces = ([path[:, part] for path in every] for part in (slice(len(pulled)), slice(len(pulled), None)))
+    tensions = [path[:, : len(pulled)] for path in every]
+    forces = [path[:, len(pulled) :].reshape(len(path), *force.shape[1:]) for path in every]
     past = past_of(starts, np.array([path[0] for path in tensions]), places)
     of_rows = trial, step, np.array(first)
     short = None if exact else short_steps

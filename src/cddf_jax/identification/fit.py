@@ -15,6 +15,7 @@ from ..estimation.least_squares import LeastSquaresFit, least_squares_fit
 from ..estimation.observations import Noise
 from ..estimation.parameter_space import Bounds, Priors
 from ..estimation.whole_search import INTERRUPTED
+from ..measurements.forces import ON_TIP
 from ..measurements.holds import SerialCorrelation, holds_of, serial_correlation
 from ..measurements.jitter import Steady
 from ..measurements.left_out import CONTRADICTED, LeaveOut, LeftOut, named_rows, rows_in_words, without
@@ -169,6 +170,7 @@ class Fit(LeastSquaresFit):
         base_tension: Numbers | None = None,
         tip_force: Numbers = (0.0, 0.0),
         *,
+        force_at: Mapping[float, Numbers] | None = None,
         displacement: Numbers | None = None,
         time: ArrayLike | None = None,
         history: bool = False,
@@ -181,6 +183,7 @@ class Fit(LeastSquaresFit):
                 column of a marker of the data, "x@120mm".
             base_tension: N, (rows,) where every tendon has the same tension, or (rows, tendons).
             tip_force: N, (2,) or (rows, 2), of a body in space (3,) or (rows, 3).
+            force_at: forces at other places, N, in the same shapes, by their arc lengths, m: {0.060: (0.0, -1.0)}.
             displacement: m, as the encoders read, in place of base tensions and in the same shapes. The slack offsets
                 are those of all trials, not those of one trial alone.
             time: s, (rows,), of a path by displacement; needed where the fit knows a lag.
@@ -197,7 +200,8 @@ class Fit(LeastSquaresFit):
         pulls = {"base_tension": base_tension, "displacement": displacement}
         path = {"time": time, "history": history, "before": before}
         how |= {"short_steps": self._short_steps}
-        wanted = predicted_rows(pulls, tip_force, body.num_tendons, setting, **path, **how)
+        forces = {ON_TIP: tip_force} | {f"{float(place)!r}m": force for place, force in (force_at or {}).items()}
+        wanted = predicted_rows(pulls, forces, body, setting, **path, **how)
         shown = wanted.evaluate(self.model.manipulator, self.parameters, self.model.nodes)
         if column not in shown.readings:
             raise InputError(f"predict: {column!r} is not a reading; there are {', '.join(shown.readings)}")
@@ -313,7 +317,7 @@ def fit(
     A table with `weight`, `pulling_tension` and `wrap_angle` is a pulley test and determines friction alone.
     Any other has `base_tension` (and `base_tension_2`, ... for further tendons) and one or more of
     `tip_tension`, `tip_tension_2`, ..., `tip_angle`, `tip_x`, `tip_y`, `tip_z` of a body in space, and markers
-    (`x@120mm`); `direction`, `tip_force_x`, `tip_force_y`, `tip_force_z`, `trial`, `step` and `time` are optional.
+    (`x@120mm`); `direction`, `tip_force_x` and the others, `force_x@60mm`, `trial`, `step` and `time` are optional.
 
     With a history, the rows of a trial are steps of a path: pulled, released and pulled again. The path starts from
     rest, or from `before`. Directions follow from the path; a column `direction` is only compared with it. Without a
@@ -340,7 +344,7 @@ def fit(
             is one number, 0 for exact base tensions. It also decides which turns a history ignores.
         setting: what all rows share: constant loads such as gravity, positions of markers, known numbers of the bench.
         history: whether each row depends on the rows before it, in the order of the columns `step` or `time`, or else
-            in that of the file. "each": every row was pulled from rest, all tensions and tip forces in proportion.
+            in that of the file. "each": every row was pulled from rest, all tensions and forces in proportion.
             None: yes if the table has one of these columns; else no, and "each" if that contradicts rows.
         before: with a history, the tensions before the first row: "rest", or the largest base tension, N, from which
             the tendon was released to the first row, as the base cell reads it. One for all trials, or a list with one

@@ -19,6 +19,7 @@ from scipy.optimize import least_squares
 from scipy.special import stdtr, stdtrit
 
 from ..errors import InputError
+from ..measurements.forces import force_column
 from ..measurements.jitter import without_jitter
 from ..measurements.readings import set_by
 from ..measurements.table import Measurements
@@ -82,8 +83,8 @@ class ModelFreeFriction:
             lines.append(
                 "Tip angles have both signs: check the zero of the angle; within a row the curvature must keep one."
             )
-        if any(column.startswith("tip_force") and np.any(values) for column, values in columns):
-            lines.append("A force acts on the tip: the value holds only where the curvature keeps one sign.")
+        if any(force_column(column) and np.any(values) for column, values in columns):
+            lines.append("A force acts on the body: the value holds only where the curvature keeps one sign.")
         if not np.isfinite(self.standard_error):
             lines.append("A single row determines it, without its noise: measure more.")
         return tuple(lines)
@@ -265,9 +266,9 @@ def model_free_loop(table: Measurements) -> ModelFreeLoop:
     for column in OF_LOOP:
         if column not in table:
             raise InputError(f"{table.name}: no column {column!r}; a loop needs {' and '.join(OF_LOOP)}")
-    pushed = any(name.startswith("tip_force") and np.any(table[name]) for name in table.columns)
+    pushed = any(force_column(name) and np.any(table[name]) for name in table.columns)
     if pushed or len(set_by(table.columns)) > 1:
-        raise InputError(f"{table.name}: a loop without a model needs one tendon and no force on the tip; use fit")
+        raise InputError(f"{table.name}: a loop without a model needs one tendon and no force on the body; use fit")
     used = branch = np.where((table["base_tension"] > 0) & (table["tip_tension"] > 0), branches(table), 0.0)
     loss = _regression(table, branch > 0, branch)[1] if np.count_nonzero(branch > 0) >= LEAST_ROWS else 0.0
     gain, covariance, freedom = 1.0, np.full((2, 2), np.inf), 0

@@ -228,7 +228,7 @@ class BenchSetting:
     """What all rows of a bench share.
 
     Args:
-        loads: constant ones, such as gravity, in the fixed frame at the base; tip forces of the rows are added.
+        loads: constant ones, such as gravity, in the fixed frame at the base; forces of the rows are added.
         markers: by the name after the @ in the columns: `x@head` is the first coordinate of markers["head"]. A column
             such as `x@120mm` needs no entry here.
         given: known numbers of the bench by the names of their parameters, SI units: for instance `tip_gain`, or the

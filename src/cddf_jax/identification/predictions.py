@@ -1,4 +1,4 @@
-"""Predictions of a fitted model: at given base tensions and tip forces, and for the rows of its tables.
+"""Predictions of a fitted model: at given base tensions and forces, and for the rows of its tables.
 
 Also: which predictions lie beyond the data, and how far finer steps along a history would move the estimates.
 """
@@ -14,10 +14,12 @@ from jaxtyping import ArrayLike
 from ..errors import InputError, within
 from ..estimation.determination import AT_BOUND, NOT_IDENTIFIED
 from ..estimation.least_squares import LeastSquaresFit
+from ..measurements.forces import ON_TIP, check_on_body, column_of_force, forces_of
 from ..measurements.readings import of_tendons
 from ..measurements.table import Measurements
 from ..numerics.arrays import evaluated
 from ..numerics.given_numbers import check_numbers
+from ..robot.manipulator import Manipulator
 from .bench import AllRows, Bench, BenchModel, Group
 from .course import course_of, paths_of
 from .parameters import TRIALS
@@ -35,13 +37,13 @@ class Prediction(NamedTuple):
 
     value: np.ndarray
     half_width: np.ndarray  # of the 95 % band, from the uncertainty of the parameters
-    extrapolated: np.ndarray  # True beyond the base tensions or tip forces of the data
+    extrapolated: np.ndarray  # True beyond the base tensions, displacements or forces of the data
 
 
 def predicted_rows(
     pulls: Mapping[str, Numbers | None],
-    tip_force: Numbers,
-    tendons: int,
+    forces: Mapping[str, Numbers],
+    body: Manipulator,
     setting: AllRows,
     *,
     time: ArrayLike | None = None,
@@ -51,7 +53,8 @@ def predicted_rows(
 ) -> Bench:
     """The rows to predict; arguments as in `Fit.predict`, and the setting that all rows share.
 
-    `pulls`: "base_tension" and "displacement", one of them None. `how`: as in `course_of`.
+    `pulls`: "base_tension" and "displacement", one of them None. `forces`: by place, "tip" or "60mm". `how`: as in
+    `course_of`.
 
     Raises:
         InputError: for numbers that are not finite, tensions below 0, shapes that do not fit.
@@ -60,7 +63,8 @@ def predicted_rows(
     if len(stated) != 1:
         raise InputError("predict: give either base_tension or displacement, of all tendons")
     ((kind, values),) = stated
-    for name, given in {kind: values, "tip_force": tip_force}.items():
+    names = {place: "tip_force" if place == ON_TIP else f"force @{place}" for place in forces}
+    for name, given in {kind: values, **{names[place]: force for place, force in forces.items()}}.items():
         check_numbers(f"predict: {name}", given)
         if not np.all(np.isfinite(np.asarray(given, np.float64))):
             raise InputError(f"predict: {name} must hold finite numbers")
@@ -68,43 +72,49 @@ def predicted_rows(
     if kind == "base_tension" and np.any(pull < 0):
         raise InputError(f"predict: base_tension must be 0 N or more, got {np.min(pull):g}; a tendon only pulls")
     pull = pull[:, None] if pull.ndim == 1 else pull
-    rows = len(pull)
+    rows, tendons, given = len(pull), body.num_tendons, {}
     try:
         pulled = np.broadcast_to(pull, (rows, tendons))
-        components = 3 if np.shape(tip_force)[-1:] == (3,) else 2
-        force = np.broadcast_to(np.asarray(tip_force, np.float64), (rows, components))
+        for place, force in forces.items():
+            shape = rows, 3 if np.shape(force)[-1:] == (3,) else 2
+            parts = zip("xyz", np.broadcast_to(np.asarray(force, np.float64), shape).T, strict=False)
+            given |= {column_of_force(axis, place): own for axis, own in parts}
     except ValueError:
+        got = ", ".join(str(np.shape(one)) for one in (pull, *forces.values()))
         raise InputError(
-            f"predict: needs {kind} (rows,) or (rows, {tendons}), tip_force (2,) or (rows, 2), in space (3,) or "
-            f"(rows, 3); got {np.shape(pull)} and {np.shape(tip_force)}"
+            f"predict: needs {kind} (rows,) or (rows, {tendons}), {', '.join(names.values())} (2,) or (rows, 2), in "
+            f"space (3,) or (rows, 3); got {got}"
         ) from None
+    with within("predict"):
+        places, own = forces_of(given, rows)
+        check_on_body(places, float(np.asarray(body.length)))
     if before != REST and not history:
         raise InputError("predict: before is used with a history only; give history=True")
-    course = None
+    course, setting = None, replace(setting, force_at=tuple(places.values()))
     if history or kind == "displacement":
         with within("predict"):
             starts = starts_of([1], before, (), tendons)[0] if history else None
-        columns = dict(zip(of_tendons(kind, tendons), pulled.T, strict=True))
-        columns |= {f"tip_force_{axis}": own for axis, own in zip("xyz", force.T, strict=False)}
+        columns = dict(zip(of_tendons(kind, tendons), pulled.T, strict=True)) | given
         columns |= {} if time is None else {"time": np.asarray(time, np.float64)}
         path = Measurements("predict", columns, np.arange(1, rows + 1))
         course, _ = course_of(path, {kind: 0.0}, starts, paths=paths_of(path, history), **how)
-    return Bench(pulled, (None,) * tendons, force if np.any(force) else None, course=course, setting=setting)
+    return Bench(pulled, (None,) * tendons, own if np.any(own) else None, course=course, setting=setting)
 
 
 def beyond_the_data(wanted: Bench, model: BenchModel) -> np.ndarray:
-    """Which rows lie outside the range of the data, in any base tension, displacement or component of the tip force."""
+    """Which rows lie outside the range of the data, in any base tension, displacement or component of a force."""
 
-    tendons = model.manipulator.num_tendons
+    tendons, benches = model.manipulator.num_tendons, [one for one in model.experiments if isinstance(one, Bench)]
+    places = [ON_TIP, *sorted({place for one in (wanted, *benches) for place in one.setting.force_at})]
 
     def conditions(bench: Bench) -> np.ndarray:
-        force, pulls = np.zeros((len(bench.actuation), 3)), np.zeros((len(bench.actuation), tendons))
+        force, pulls = np.zeros((len(bench.actuation), len(places), 3)), np.zeros((len(bench.actuation), tendons))
         pulls[:, slice(None) if bench.tendons is None else np.asarray(bench.tendons)] = bench.actuation
-        if bench.tip_force is not None:
-            force[:, : np.shape(bench.tip_force)[1]] = bench.tip_force
-        return np.concatenate([pulls, force], axis=1)
+        if bench.forces is not None:
+            own = [places.index(place) for place in (ON_TIP, *bench.setting.force_at)]
+            force[:, own, : np.shape(bench.forces)[2]] = bench.forces
+        return np.concatenate([pulls, force.reshape(len(force), -1)], axis=1)
 
-    benches = [one for one in model.experiments if isinstance(one, Bench)]
     measured = [conditions(one) for one in benches if one.is_driven == wanted.is_driven]
     there = conditions(wanted)
     if not measured:

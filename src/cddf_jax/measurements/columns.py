@@ -8,6 +8,7 @@ from ..errors import InputError
 from ..files.table_header import short
 from ..quantities import QUANTITIES
 from ..units import Dimension
+from .forces import column_of_force, force_column
 from .markers import marker_column
 from .order import ORDER
 from .readings import NAMED, kind_of, set_by
@@ -52,6 +53,8 @@ def column_meant(name: str) -> str | None:
     """The column that a name in a file means, `base_tension` for "T base" or "Tbase_1"; None if it means none."""
     if marker := marker_column(name):
         return "@".join(marker)
+    if force := force_column(name):
+        return column_of_force(*force)
     stem, number = _parts(name)
     column = _SPELLINGS.get(stem)
     if column is None or not number or (column in PER_TENDON and number == "1"):
@@ -88,6 +91,8 @@ def column_dimension(column: str) -> Dimension | None:
     """
     if marker_column(column):
         return "length"
+    if force_column(column):
+        return "force"
     stem, _, tendon = column.rpartition("_")
     if stem in PER_TENDON and re.fullmatch("[2-9]|[1-9][0-9]+", tendon):
         column = stem

@@ -13,6 +13,7 @@
 | tip_x, tip_y, tip_z | length | u(L) in the frame at the base, tip_z of a body in space |
 | x@120mm, y@120mm, z@120mm | length | a marker at that arc length; the place of `x@head` is given separately |
 | tip_force_x, tip_force_y, tip_force_z | force | known dead load on the tip |
+| force_x@60mm, force_y@60mm, force_z@60mm | force | the same at that arc length, such as a weight that hangs there |
 | direction, direction_2, ... | none | +1 where the tendon slides in (pulled), -1 out; without it: as `solve` finds it |
 | wrap_angle | angle | pulley test: angle of contact |
 | weight, pulling_tension | force | pulley test: hanging weight, and load cell while the weight is raised |

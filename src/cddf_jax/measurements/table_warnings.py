@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 
+from .forces import force_column
 from .readings import set_by
 from .table import Measurements
 
@@ -78,7 +79,7 @@ def _starts_anew(table: Measurements, column: str) -> str:
 def _coming_down(table: Measurements, column: str) -> str:
     """Rows below the row before them that are not a new start at the lowest level of their trial."""
     stated = column.replace("base_tension", "direction")
-    several = len(set_by(table.columns)) > 1 or any(name.startswith("tip_force") for name in table.columns)
+    several = len(set_by(table.columns)) > 1 or any(map(force_column, table.columns))
     if not column.startswith("base_tension") or (stated in table and several):
         return ""
     order = table.order
