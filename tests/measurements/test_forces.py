@@ -5,7 +5,7 @@ import pytest
 
 import cddf_jax as cddf
 from cddf_jax.errors import InputError
-from cddf_jax.measurements.columns import column_dimension, column_meant
+from cddf_jax.measurements.columns import column_dimension, column_meant, column_resembled
 from cddf_jax.measurements.forces import check_on_body, forces_of
 
 
@@ -15,6 +15,7 @@ def test_the_names_of_columns():
     assert column_meant("Ftip_x") == column_meant("tip_force_x") == "tip_force_x"
     assert column_meant("x@60mm") == "x@60mm"  # a marker
     assert column_dimension("force_y@60mm") == "force"
+    assert column_resembled("Force @ 60 mm") == "force_y@60mm"  # of which component is not said
 
 
 def test_a_file_with_a_weight_on_the_body(tmp_path):

@@ -64,6 +64,8 @@ def column_meant(name: str) -> str | None:
 
 def column_resembled(name: str) -> str | None:
     """The known column whose name is probably misspelt; None if no known name is similar enough."""
+    if place := re.fullmatch(r"\s*f(?:orce)?\s*@\s*(\S.*)", name, re.IGNORECASE):  # without its component
+        return column_meant(f"force_y@{place[1]}")
     stem, number = _parts(name)
     if number == "0" and _SPELLINGS.get(stem) in PER_TENDON:
         return _SPELLINGS[stem]
