@@ -87,9 +87,12 @@ def coverage(tendons: int, numbers: range) -> dict[str, Any]:
         wrong += any(fit.status[name] == "identified" for name in UNKNOWN)
         known = {name: fit.confidence_interval[name] for name in fit.names if fit.status[name] == "identified"}
         known |= {name: one.confidence_interval for name, one in fit.combinations.items()}
-        for name in truth.keys() & known.keys():
-            held[name].append(known[name][0] <= truth[name] <= known[name][1])
-        print(f"bench {k}: mu {fit.value['friction_coefficient']:.3f}", flush=True)
+        inside = {name: known[name][0] <= truth[name] <= known[name][1] for name in truth.keys() & known.keys()}
+        for name, holds in inside.items():
+            held[name].append(holds)
+        missed = ", ".join(name for name, holds in inside.items() if not holds) or "none"
+        mu = fit.value["friction_coefficient"]
+        print(f"bench {k}: mu {mu:.3f}, {len(inside)} identified, missed: {missed}", flush=True)
     shares = {name: {"identified": len(own), "hold": sum(own)} for name, own in held.items()}
     return {"tendons": tendons, "benches": len(numbers), "failed": failed, "wrongly identified": wrong} | shares
 
