@@ -253,7 +253,7 @@ def _correction(setting: Setting, nodes: Node, law: _Law, missed: Rows) -> Node:
 
     starts, ends = map(jax.vmap(_flat), _ends_of_elements(nodes))
     elements = setting.grid.elements(setting.given, setting.before.held)
-    slopes = jax.vmap(jax.jacfwd(rows, (2, 3, 4, 5)))(elements, law, *starts, *ends)
+    slopes = jax.vmap(jax.jacrev(rows, (2, 3, 4, 5)))(elements, law, *starts, *ends)
     factors = _eliminated(nodes, slopes)
     (change,) = _swept(nodes, factors, missed.elements[:, :, None], jnp.zeros((1, 1)))
     if not setting.driven:
