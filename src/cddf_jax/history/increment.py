@@ -13,6 +13,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Bool, Float, Int
 
 from ..numerics import tolerances as tol
@@ -20,6 +21,7 @@ from ..numerics.arrays import all_finite, largest_size, varying_as, zero_as
 from ..numerics.fixed_point import slope_along, solve_small
 from .grid import Element, Given, Goal, Grid, Node, missing
 
+FOUND = "found"  # the name of what Newton's method finds, which the reverse mode keeps
 Number = Float[Array, ""]
 PerElement = Float[Array, "K tendons"]
 
@@ -119,7 +121,7 @@ def _round(setting: Setting, start: Node, state: _Search) -> _Search:
 @_after_increment.def_jvp
 def _(primals, tangents):
     (setting,), (direction,) = primals, tangents
-    nodes, share, _ = found = _after_increment(setting)
+    nodes, share, _ = found = checkpoint_name(_after_increment(setting), FOUND)
     none = jnp.zeros_like(nodes.tension[0, 0])
 
     def law_of(setting: Setting) -> _Law:
