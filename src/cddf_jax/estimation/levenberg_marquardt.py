@@ -26,6 +26,7 @@ UNEXPLAINED = 0.9  # of the scatter of the data, left in the residuals: hardly a
 STALLED = 6  # looks at a search that bring no noteworthy fall of the cost, where the model has kinks: it ends
 CLEARLY = 10.0  # factor between a cost above a limit and what a step promises, where no step brings it below
 SHORTER = 0.25  # factor on the reach after the first step in a row that was not taken
+GOOD = 0.75  # of the promised fall of the cost: after a step that brings more, the next may be longer
 
 
 class Outcome(NamedTuple):
@@ -243,7 +244,9 @@ class _TrustRegion(optx.AbstractSearch):
     Gould and Toint 2000, Trust Region Methods, section 17.4.2); so is one that is too short to matter. The next one is
     shorter: else rounding errors would lead the search along a flat valley without end. After one step in a row that
     was not taken the next ones shrink faster (Nielsen 1999, Damping parameter in Marquardt's method): near a kink of
-    the model only tiny steps help.
+    the model only tiny steps help. The next one is longer already where a step brings three quarters of what it
+    promised (More 1978, The Levenberg-Marquardt algorithm). With the 0.99 of optimistix, a parameter that runs to its
+    bound would come closer by 4 % in each step, as its logarithm is searched.
     """
 
     reach: Float[Numbers, " 2"]  # of the first step, and the factor on it if that is not taken
@@ -255,7 +258,7 @@ class _TrustRegion(optx.AbstractSearch):
         return _Reach(size, shrink, jnp.asarray(-1))  # what comes first is no step, but a look at the place
 
     def step(self, first_step, y, y_eval, f_info, f_eval_info, state):
-        classical = optx.ClassicalTrustRegion()
+        classical = optx.ClassicalTrustRegion(high_cutoff=GOOD)
         unit = classical.init(y, f_info)
         factor, accept, result, _ = classical.step(first_step, y, y_eval, f_info, f_eval_info, unit)
         cost, moved = f_info.as_min(), y_eval - y
@@ -322,27 +325,27 @@ def _descend(
     """
     first = jnp.asarray(z)
 
+    # JAX takes it as a whole: what is linear in a step is the product with the Jacobian, not what lies within the model
+    @jax.custom_jvp
     def looked(z):
         there = known.known & jnp.all(z == first)
         return jax.lax.cond(there, lambda: known[:2], lambda: _residual_and_slope(problem, held, z))
 
-    @jax.custom_jvp
-    def residual(z):
-        value, slope = looked(z)
-        return problem.softened(value), (value, slope)
-
-    @residual.defjvp
+    @looked.defjvp
     def _(primals, tangents):
         value, slope = looked(*primals)
-        softened, change = jax.jvp(problem.softened, (value,), (slope @ tangents[0],))
-        return (softened, (value, slope)), (change, (jnp.zeros_like(value), jnp.zeros_like(slope)))
+        return (value, slope), (slope @ tangents[0], jnp.zeros_like(slope))
+
+    def residual(z, _):
+        value, slope = looked(z)
+        return problem.softened(value), (value, slope)
 
     region = _TrustRegion(reach=reach, portion=portion, tolerance=tolerance)
     optimiser = eqx.tree_at(lambda o: o.search, optx.LevenbergMarquardt(tolerance, tolerance), region)
     # The optimiser calls it within and without `vmap`. For JAX these are different contexts, and it would trace twice.
     with jax.sharding.use_abstract_mesh(jax.sharding.AbstractMesh((), ())):
         solution = optx.least_squares(
-            lambda z, _: residual(z),
+            residual,
             optimiser,
             first,
             has_aux=True,

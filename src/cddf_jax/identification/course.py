@@ -203,8 +203,12 @@ class Course(eqx.Module):
 
         forces = None if self.forces is None else jnp.asarray(self.forces)
         trials = tension, forces, deviation
-        # increments that need not be cut cost nothing one by one; in a batch they would
-        every = jax.vmap(one)(*trials) if self.short_steps is None else jax.lax.map(lambda each: one(*each), trials)
+        if len(tension) == 1:  # a batch would be traced and compiled for nothing
+            every = jax.tree.map(lambda x: x[None], one(*jax.tree.map(lambda x: x[0], trials)))
+        elif self.short_steps is None:
+            every = jax.vmap(one)(*trials)
+        else:  # increments that need not be cut cost nothing one by one; in a batch they would
+            every = jax.lax.map(lambda each: one(*each), trials)
         step = self.step + (self.past is not None)
         found = jax.tree.map(lambda x: x[self.trial, step], every)
         return found._replace(direction_contradicted=jnp.zeros(found.tip_tension.shape, bool))
