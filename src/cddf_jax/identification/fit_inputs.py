@@ -51,10 +51,11 @@ def courses_of(
         course_of(table, noise, own, short_steps, paths=rows, **how) if rows else None
         for table, rows, own in zip(tables, paths, starts, strict=True)
     ]
-    courses = [
-        course and (replace(course[0], number=end + 1 + table.trial[course[0].first_row]), course[1])
-        for end, table, course in zip(ends, tables, courses, strict=False)
-    ]
+    if any(trial_of(name) is not None for name in names):  # else predictions take the same program without numbers
+        courses = [
+            course and (replace(course[0], number=end + 1 + table.trial[course[0].first_row]), course[1])
+            for end, table, course in zip(ends, tables, courses, strict=False)
+        ]
     known = [(own, course[0]) for own, course in zip(starts, courses, strict=True) if course]
     first = [(own, np.asarray(course.readings)[:, 0]) for own, course in known]
     return courses, first_guesses(first)
