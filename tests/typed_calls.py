@@ -4,6 +4,7 @@
 """
 
 import dataclasses
+import gc
 import sys
 from pathlib import Path
 
@@ -12,7 +13,9 @@ import numpy as np
 from jaxtyping import install_import_hook
 from places import DATA
 
+gc.set_threshold(200_000, 50, 50)  # as in conftest.py
 jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_traceback_in_locations_limit", 0)
 CHECKER = "beartype.beartype(conf=beartype.BeartypeConf(strategy=beartype.BeartypeStrategy.On))"
 with install_import_hook("cddf_jax", CHECKER):
     import cddf_jax as cddf
