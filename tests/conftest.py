@@ -37,9 +37,18 @@ MAPS = Path("/proc/self/maps")
 MANY_MAPS = 25_000
 
 
-# These have single tests that take long: one that starts last would leave the other workers without work.
-FIRST = ("test_design", "test_fit_command", "test_loads", "test_fit", "test_targets", "test_reference")
-FIRST += ("test_work", "test_soft_tentacle", "test_driven", "test_trace_in_space", "test_stepped", "test_space")
+# The files that take longest, of slow and other tests: one that starts last would leave the other workers without work.
+FIRST = ("test_fit_in_space", "test_trace_in_space", "test_space", "test_stepped_in_space", "test_commands_in_space")
+FIRST += (
+    "test_displacement",
+    "test_fit_of_loops",
+    "test_stepped",
+    "test_shapes",
+    "test_rivals",
+    "test_fit",
+    "test_loads",
+)
+FIRST += ("test_soft_tentacle", "test_driven", "test_trace", "test_real_robot_loops", "test_work", "test_targets")
 
 
 def pytest_collection_modifyitems(items):
