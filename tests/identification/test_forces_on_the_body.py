@@ -9,7 +9,7 @@ from refusals import refused
 
 import cddf_jax as cddf
 from cddf_jax.identification.bench import experiment_of
-from cddf_jax.identification.course import course_of
+from cddf_jax.identification.course import course_of, paths_of
 
 LENGTH, STIFFNESS, PLACE = 0.2, 0.02, 0.08  # m, N m^2, m
 ROD = cddf.Manipulator(
@@ -55,6 +55,47 @@ def test_a_weight_that_stays_beside_a_tip_force_that_changes():
     shown = rows_of(ROD, table, course=course_of(table)[0])
     np.testing.assert_allclose(shown["tip_tension"], history.tip_tension, rtol=1e-9)
     np.testing.assert_allclose(shown["tip_angle"], history.tip_angle, atol=1e-9)
+
+
+HALF = dataclasses.replace(ROD, tendons=(cddf.Tendon(0.008, end=0.1),), friction_coefficient=0.4)
+PULL, PUSH = 4.0, (0.0, -0.5)  # N; the push bends HALF away from its tendon wherever there is a tendon
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("way", [1, -1])
+def test_whether_a_push_comes_with_the_pull_or_before_it(way):
+    """It turns the slip: after the push the pull draws the tendon in (1); a push that grows with it lets it out (-1).
+
+    All of the tendon slides, so that `solve` with this direction has the tip tension; `trace` has the path by hand.
+    """
+    read = {"tip_tension": [0.0], "tip_angle": [0.0]}
+    forces = {"force_y@200mm": [PUSH[1]], "base_tension": [PULL]}
+    if way == -1:
+        table = cddf.Measurements.from_columns("bench", **forces, **read)
+        path, loads = [PULL], cddf.Loads(np.array([PUSH]))
+    else:  # a row more in which the weight already hangs
+        columns = {name: np.append(0.0 if name == "base_tension" else own, own) for name, own in forces.items()}
+        read = {name: np.append(np.nan, own) for name, own in read.items()}
+        table = cddf.Measurements.from_columns("bench", **columns, **read, step=[1, 2])
+        path, loads = [0.0, PULL], cddf.Loads(PUSH)
+    followed = course_of(table, paths=paths_of(table, "each" if way == -1 else None))[0]
+    shown, history = rows_of(HALF, table, course=followed), cddf.trace(HALF, path, loads, **AS_FITTED)
+    for column, values in (("tip_tension", history.tip_tension), ("tip_angle", history.tip_angle)):
+        np.testing.assert_allclose(shown[column], values[-1:], rtol=1e-9)
+    slides = cddf.solve(HALF, PULL, cddf.Loads(PUSH), direction=way, throw=False)
+    np.testing.assert_allclose(shown["tip_tension"], slides.tip_tension, rtol=1e-4)
+    assert way * (PULL - shown["tip_tension"][0]) > 0.3
+
+
+@pytest.mark.slow
+def test_gravity_rests_on_a_body_that_is_pulled_with_a_push():
+    """As a `trace` under gravity alone before the step, in which the tip force grows with the tension."""
+    body, gravity = dataclasses.replace(HALF, mass_per_length=1.0), cddf.Loads(gravity=(0.0, -9.81))
+    table = cddf.Measurements.from_columns("bench", base_tension=[PULL], tip_force_y=[PUSH[1]], tip_tension=[0.0])
+    followed = course_of(table, paths=paths_of(table, "each"), stepped=True)[0]
+    shown = rows_of(body, table, course=followed, setting=cddf.BenchSetting(loads=gravity))
+    loads = dataclasses.replace(gravity, tip_force=np.array([PUSH]))
+    np.testing.assert_allclose(shown["tip_tension"], cddf.trace(body, [PULL], loads, **AS_FITTED).tip_tension)
 
 
 @pytest.mark.slow

@@ -129,7 +129,7 @@ EachFromRest = Annotated[
     bool,
     typer.Option(
         "--each-from-rest",
-        help="Follow each row from rest, with all tensions and tip forces in proportion.",
+        help="Follow each row from rest, its tensions and forces in proportion. Loads of all rows act before.",
         show_default="where rows without history are contradicted",
     ),
 ]

@@ -36,7 +36,7 @@ STEPS = 16  # paths are traced in multiples of this number, so that tables share
 FEW_STEPS = 4  # the same for paths that are followed in increments
 ELEMENTS_IN_FITS = 2  # times the nodes, half as many as `trace` takes: their error is told beside the estimates
 SHORT_STEPS = 4  # in each step of a path without an exact answer
-EACH = "each"  # of a history: every row is pulled from rest, all tensions and forces in proportion
+EACH = "each"  # of a history: every row is pulled from rest, its tensions and forces in proportion
 CLOSE = 0.1  # standard errors: sums of squares have kinks where fronts pass nodes, about which searches would wander
 MOST_REMEMBERED = 60  # turns whose effect on later rows counts in the errors of base tensions
 WITHOUT = "give history=False (--no-history), which lets each tendon slide one way in each row"
@@ -71,8 +71,8 @@ class Course(eqx.Module):
     max_turns: int = eqx.field(static=True)
     past: Past | None = None  # None: all trials start from rest
     forces: Float[np.ndarray | Array, "trials steps places components"] | None = None  # N, those on the tip first
-    stays: tuple[bool, ...] = eqx.field(default=(), static=True)  # of each place, whether its force is constant; then
-    # it acts before the first step
+    stays: tuple[bool, ...] = eqx.field(default=(), static=True)  # of each place, whether its force is the same in all
+    # rows of every path, and of more than one; then it acts before the first step
     short_steps: int | None = eqx.field(default=None, static=True)  # of each step; None where the answer is exact
     by_length: tuple[bool, ...] = eqx.field(default=(False,), static=True)  # of each tendon, if displacements
     time: Float[np.ndarray | Array, "trials steps"] | None = None  # s, where the body comes after the motors
@@ -287,7 +287,8 @@ def _course(
         above = [np.max(readings) + 1, np.min(readings) - 1] if any(by_length) else above  # it may be pulled from slack
         most = max(_most_open(np.append(above, path)) for path in paths)
         most *= 1 if times is None else 2  # the turns of a lagging path lie elsewhere
-    stays = () if acting is None else tuple(np.all(force == force[:, :1], axis=(0, 1, 3)).tolist())
+    alike = (longest > 1) & np.all(force == force[:, :1], axis=(0, 1, 3))  # that of a single row grows with the pull
+    stays = () if acting is None else tuple(alike.tolist())
     time = None
     if times is not None:
         time = np.stack([np.append(own, own[-1] + 1.0 + np.arange(longest - own.size)) for own in times])

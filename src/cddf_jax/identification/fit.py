@@ -344,7 +344,8 @@ def fit(
             is one number, 0 for exact base tensions. It also decides which turns a history ignores.
         setting: what all rows share: constant loads such as gravity, positions of markers, known numbers of the bench.
         history: whether each row depends on the rows before it, in the order of the columns `step` or `time`, or else
-            in that of the file. "each": every row was pulled from rest, all tensions and forces in proportion.
+            in that of the file. "each": every row was pulled from rest, its tensions and forces in proportion; loads
+            of `setting`, such as gravity, act before.
             None: yes if the table has one of these columns; else no, and "each" if that contradicts rows.
         before: with a history, the tensions before the first row: "rest", or the largest base tension, N, from which
             the tendon was released to the first row, as the base cell reads it. One for all trials, or a list with one
