@@ -377,6 +377,7 @@ def test_short_steps_in_single_precision_are_refused():
 
 
 OWN_FRICTION = replace(paper_body(), tendons=(replace(paper_body().tendons[0], friction_coefficient=0.3),))
+HUNG = {"base_tension": 1.0, "loads": cddf.Loads(points=[cddf.PointLoad(0.06, (0.0, -0.1))])}
 BAD = {
     "no manipulator": ({"base_tension": [1.0]}, {"manipulator": "robot.toml"}, "manipulator must be a Manipulator"),
     "no loads": ({"base_tension": [1.0]}, {"loads": (0.0, -5.0)}, "loads must be Loads"),
@@ -394,6 +395,22 @@ BAD = {
         {"loads.gravity.1": [-9.8]},
         {"base_tension": 1.0},
         "the body has no weight; give it density, mass_per_length",
+    ),
+    "a load beyond the tip": (
+        {"loads.points.0.arc_length": [0.1, 0.15]},
+        HUNG,
+        "sweep: loads.points.0: arc_length must lie above 0 and up to the tip at 140 mm, got 150 mm; put the load on",
+    ),
+    "a body that ends before its load": ({"length": [0.14, 0.05]}, HUNG, "up to the tip at 50 mm, got 60 mm"),
+    "a short body with a load far out": (
+        {"length": [0.07, 0.14], "loads.points.0.arc_length": [0.04, 0.1]},
+        HUNG,
+        "up to the tip at 70 mm, got 100 mm",
+    ),
+    "a load that moves along a path": (
+        {"path": {"base_tension": [1.0, 2.0], "loads.points.0.arc_length": [0.04, 0.1]}},
+        {"loads": HUNG["loads"], "history": True},
+        "only base tensions and loads vary along a path, not loads.points.0.arc_length; give it an axis",
     ),
     "no axes": ({}, {}, "axes must be a dictionary"),
     "unknown": ({"youngs_modulos": [1.0]}, {"base_tension": 1.0}, "did you mean 'youngs_modulus'"),
@@ -437,6 +454,12 @@ BAD = {
 def test_bad_input_is_named(case):
     axes, options, message = BAD[case]
     assert re.search(message, refused(cddf.sweep, axes=axes, **({"manipulator": paper_body()} | options)))
+
+
+def test_a_load_may_move_out_with_the_tip():
+    """Where length and place vary together, each place is compared with its own length."""
+    axes = {"s": {"length": [0.05, 0.14], "loads.points.0.arc_length": [0.04, 0.1]}}
+    assert Sweep(manipulator=paper_body(), dimensions=dimensions_of(axes), **HUNG).layout.shape == {"s": 2}
 
 
 def test_bodies_that_differ_in_a_plain_function_are_not_the_same_work():

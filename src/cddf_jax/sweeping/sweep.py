@@ -101,10 +101,11 @@ def sweep(
         change numbers by 1e-13 relative at most.
 
     With "length" everything along the body varies in proportion: tapers, knots, joints and anchors. All other numbers
-    of a profile stay.
+    of a profile stay, and so do the places of point loads.
 
     Raises:
-        InputError: for an unknown axis, output or option, a store of another sweep, or too little memory.
+        InputError: for an unknown axis, output or option, a point load that comes to lie beside the body, a store of
+            another sweep, or too little memory.
     """
     work = Sweep(
         manipulator=manipulator,
@@ -356,7 +357,8 @@ def _check_history(work: Sweep) -> None:
             f"sweep: base tensions vary along {which}; give as history the name of the axis that is the path "
             "(--history-axis)"
         )
-    beside = [name for name in (*work.path.numbers, *work.path.options) if not name.startswith(ALONG_A_PATH)]
+    along = (*work.path.numbers, *work.path.options)
+    beside = [name for name in along if not name.startswith(ALONG_A_PATH) or name.endswith(".arc_length")]
     if beside:
         raise InputError(f"sweep: only base tensions and loads vary along a path, not {beside[0]}; give it an axis")
     numbers = {name for d in work.dimensions for name in (*d.numbers, *d.options)}
@@ -411,6 +413,7 @@ def _check_names(work: Sweep, case: Case) -> None:
     swept = {name for dimension in work.dimensions for name in dimension.numbers}
     for name in swept:
         case.number(name)
+    _check_places(work.dimensions, case)
     for name, remedy in _idle(swept, case).items():
         raise InputError(f"sweep: {name!r} has no effect here; {remedy}")
     if case.base_tension is None and "base_tension" not in swept:
@@ -424,6 +427,23 @@ def _check_names(work: Sweep, case: Case) -> None:
         if wider:
             close = get_close_matches(name, wider, 1) or wider
             raise InputError(f"sweep: {name!r} and the axis {close[0]!r} overlap; differentiate by {close[0]!r} itself")
+
+
+def _check_places(dimensions: Sequence[Dimension], case: Case) -> None:
+    """Refuse axes along which a point load comes to lie beside the body, in any combination of them."""
+    along = {name: (d.name, values) for d in dimensions for name, values in d.numbers.items()}
+    length = np.reshape(case.manipulator.length, 1)
+    for i, point in enumerate(() if case.loads is None else case.loads.points):
+        name = f"loads.points.{i}.arc_length"
+        dimension, places = along.get(name, ("", np.reshape(point.arc_length, 1)))
+        same, lengths = along.get("length", ("", length))
+        places, lengths = (places, lengths) if same == dimension else map(np.ravel, np.meshgrid(places, lengths))
+        beside = (places <= 0) | (places > lengths)
+        if np.any(beside):
+            k = int(np.argmax(beside))
+            there = case.with_numbers({name: places[k], "length": lengths[k]})
+            with within("sweep"):
+                check_loads(there.manipulator, there.loads)
 
 
 def _idle(swept: set[str], case: Case) -> dict[str, str]:
