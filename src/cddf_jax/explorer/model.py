@@ -17,7 +17,7 @@ from ..files.manipulator_file import manipulator_text
 from ..identification.bench import Bench, experiment_of
 from ..identification.course import course_of, is_driven_by_length, paths_of
 from ..identification.parameters import BenchSetting
-from ..measurements.forces import force_column
+from ..measurements.forces import forces_of
 from ..measurements.table import Measurements
 from ..mechanics.directions import as_directions
 from ..mechanics.fields import AnyFields, SpatialFields
@@ -200,8 +200,8 @@ class Exploration:
 
     def _is_exact(self, table: Measurements) -> bool:
         """Whether a history of these rows has an exact answer: one tendon without loads."""
-        loaded = any(force_column(column) and np.any(table[column]) for column in table.columns)
-        return self.manipulator.num_tendons == 1 and not loaded and self.setting.loads is None
+        loaded = self.setting.loads is not None or np.any(forces_of(table.columns, len(table))[1])
+        return self.manipulator.num_tendons == 1 and not loaded
 
     @property
     def notes(self) -> list[str]:
@@ -210,7 +210,13 @@ class Exploration:
         why = "each row is drawn as an equilibrium of its own; a fit follows the order of the rows"
         driven = "driven by displacement, so it is fitted and not drawn"
         not_drawn = [f"{table.name}: {driven}" for table in self.tables if table not in self.drawn]
-        return read_as + [f"{table.name}: {why}" for table in self.not_followed] + not_drawn
+        places = {table.name: forces_of(table.columns, len(table))[0] for table in self.drawn}
+        hung = [
+            f"{name}: the crosses hold with the forces at {', '.join(own)} of the rows; no slider sets these forces"
+            for name, own in places.items()
+            if own
+        ]
+        return read_as + [f"{table.name}: {why}" for table in self.not_followed] + not_drawn + hung
 
     def fit(self, kinematics: Kinematics) -> "Fit":
         """Friction and modulus from the tables, with the manipulator of the file, on which they were measured.
