@@ -25,6 +25,7 @@ def plan(
     marker: options.Marker = None,
     given: options.Given = None,
     history: options.HistoryOption = None,
+    each_from_rest: options.EachFromRest = False,
     criterion: Annotated[
         str,
         typer.Option(help="D for all parameters together, or the parameter to determine best, such as youngs_modulus."),
@@ -57,8 +58,8 @@ def plan(
     tables = options.read_data(data, column, holds_averaged=average_holds)
     known = manipulator
     if tables:
-        rows = read_leave_out(leave_out)
-        known = fit(manipulator, tables, names, setting=setting, history=history, leave_out=rows)
+        rows, followed = read_leave_out(leave_out), "each" if each_from_rest else history
+        known = fit(manipulator, tables, names, setting=setting, history=followed, leave_out=rows)
     candidates = standard_candidates(manipulator, largest, setting)
     found = plan(known, candidates, names, setting=setting, criterion=criterion, num=num)
     options.give(plan_report(found), out, as_json=as_json)
