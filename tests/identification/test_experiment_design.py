@@ -84,6 +84,27 @@ def test_a_tip_weight_hardly_helps():
     assert 5 < np.sqrt(told.covariance[0, 0]) / MU < 7
 
 
+@pytest.mark.slow
+def test_a_weight_on_the_body():
+    """The errors of ln mu and ln E from differences of `solve` with the weight as a point load."""
+    body, loads = paper_body("exact"), cddf.Loads(points=[cddf.PointLoad(0.06, (0.0, -1.0))])
+    hung = Candidate("hung", {"base_tension": LEVELS, "force_y@60mm": -1.0}, {"tip_angle": 0.01})
+    told = cddf.plan(body, [hung], num=1).ranking[0].expected
+
+    def angles(mu, modulus):
+        here = replace(body, friction_coefficient=mu, youngs_modulus=modulus)
+        return np.array([float(cddf.solve(here, pull, loads).tip_angle) for pull in LEVELS])
+
+    h = 1e-4
+    pairs = ((angles(MU * (1 + h), E), angles(MU * (1 - h), E)), (angles(MU, E * (1 + h)), angles(MU, E * (1 - h))))
+    slopes = np.stack([(more - less) / (2 * h) for more, less in pairs], axis=1)
+    errors = 0.01 * np.sqrt(np.diag(np.linalg.inv(slopes.T @ slopes)))
+    found = [told.standard_error["friction_coefficient"] / MU, told.standard_error["youngs_modulus"] / E]
+    np.testing.assert_allclose(found, errors, rtol=1e-3)
+    with pytest.raises(InputError, match="candidate 'hung': force @160mm: it must act above 0 and up to the tip at"):
+        cddf.plan(body, [replace(hung, conditions={"base_tension": LEVELS, "force_y@160mm": -1.0})])
+
+
 def test_the_ranking_and_the_choice(planned):
     """By gain per cost: at a tenth of the cost the pulley test comes first."""
     cheap = cddf.plan(paper_body("exact"), [POSITIONS, replace(PULLEY, cost=0.1)], num=1)

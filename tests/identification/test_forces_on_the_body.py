@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from bodies import paper_body
+from bodies import paper_body, three_tendon_tube
 from refusals import refused
 
 import cddf_jax as cddf
@@ -120,3 +120,26 @@ def test_a_fit_with_weights_on_the_body():
     assert refused(fitted.predict, "tip_angle", [50.0], force_at={0.2: (0.0, -1.0)}) == (
         "predict: force @0.2m: it must act above 0 and up to the tip at 140 mm, not at 200 mm; correct the place"
     )
+
+
+@pytest.mark.slow
+def test_a_fit_with_weights_on_the_body_in_space():
+    """Simulated by `solve` with point loads across the tendons; friction and modulus are found again."""
+    body, places = three_tendon_tube(), (0.08, 0.14)
+    pulls = np.array([[12.0, 2.0, 2.0], [12.0, 2.0, 2.0], [3.0, 10.0, 3.0], [2.0, 2.0, 11.0]])
+    forces = np.array([[(0.05, 0.0, 0.1), (0.0, 0.0, 0.0)], [(0.0, 0.0, -0.1), (0.0, 0.05, 0.0)]] * 2)
+    found = [
+        cddf.solve(body, pull, cddf.Loads(points=[cddf.PointLoad(*each) for each in zip(places, own, strict=True)]))
+        for pull, own in zip(pulls, forces, strict=True)
+    ]
+    columns = {f"base_tension{end}": pulls[:, i] for i, end in enumerate(("", "_2", "_3"))}
+    for i, axis in enumerate("xyz"):
+        columns |= {f"force_{axis}@{1e3 * s:g}mm": forces[:, place, i] for place, s in enumerate(places)}
+        columns[f"tip_{axis}"] = [float(one.tip_position[i]) for one in found]
+    columns["tip_tension"] = [float(one.tip_tension[0]) for one in found]
+    noise = {"tip_x": 1e-4, "tip_y": 1e-4, "tip_z": 1e-4, "tip_tension": 0.02}
+    start = dataclasses.replace(body, friction_coefficient=0.25, youngs_modulus=1.1e6)
+    fitted = cddf.fit(start, cddf.Measurements.from_columns("bench", **columns), noise=noise)
+    assert fitted.success
+    assert fitted.value["friction_coefficient"] == pytest.approx(0.3, rel=1e-5)
+    assert fitted.value["youngs_modulus"] == pytest.approx(1e6, rel=1e-5)

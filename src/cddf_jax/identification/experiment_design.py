@@ -48,7 +48,8 @@ class Candidate:
     Args:
         name: for the report.
         conditions: columns that are set in an experiment on a manipulator or in a pulley test, SI; numbers, or lists
-            of one length. With a column `step` they are set in this order, from rest.
+            of one length: base tensions, displacements, and known forces as in tables (`tip_force_y`, `force_y@60mm`).
+            With a column `step` they are set in this order, from rest.
         noise: standard deviation of each column that is read, SI, or `Noise(floor, fraction)` of the reading.
         cost: of the whole experiment, for instance in hours; candidates are ranked by gain per cost.
     """
