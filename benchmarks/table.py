@@ -64,7 +64,9 @@ def main() -> None:
             when = date.fromtimestamp(page.stat().st_mtime)
             text = f"`benchmarks/{name}.py`, {when}\n\n{page.read_text()}"
             results[name] = json.loads((FOLDER / f"{name}.json").read_text())
-        pages.append(f"## {title}\n\n{text if page.exists() else kept.get(title, text)}")
+        pages.append(f"## {title}\n\n{text if page.exists() else kept.pop(title, text)}")
+        kept.pop(title, None)
+    pages += [f"## {title}\n\n{text}" for title, text in kept.items()]  # those that were written by hand
     text = "\n".join(pages)
     print(text)
     write_all(KEPT, {"measured.md": text})
