@@ -2,19 +2,29 @@
 
 Each path has 12 steps. Of the tensions, up to 50 N, four of ten stay from step to step and one of seven is 0 N.
 Friction is 0.1 to 0.6. Without an argument all kinds of bodies are followed; `python random_paths.py space 3 loaded 64`
-is one kind with its number of paths.
+is one kind with its number of paths, and further numbers are those of paths that are followed alone, from 0.
+
+Where a step does not settle, it is followed again in 16 parts, each with as many increments as the step had. The last
+state that settled is judged by `tangent.py`, which shares nothing with the library: how many directions of tensions or
+of the shape the equations leave open there, and how far a small moment changes the shape, against the body without
+tendons. The same is told of the states after the steps of the first paths that settled.
 """
 
 import sys
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import numpy as np
+import tangent
 
 import cddf_jax as cddf
 
 jax.config.update("jax_enable_x64", True)
-LENGTH, STEPS, PATHS, LARGEST = 0.14, 12, 64, 50.0
+LENGTH, STEPS, PATHS, LARGEST, PARTS, JUDGED = 0.14, 12, 64, 50.0, 16, 3
+AS_FOLLOWED = {"nodes": 8, "short_steps": 8, "throw": False}
+ELEMENTS = 4 * 8  # of `trace` with these nodes
 
 
 def robot(in_space: bool, count: int) -> cddf.Manipulator:
@@ -35,25 +45,128 @@ def robot(in_space: bool, count: int) -> cddf.Manipulator:
     )
 
 
-def settled(in_space: bool, count: int, loaded: bool, paths: int) -> tuple[int, int, int]:
-    """Of random paths, how many settled in all steps; of all their steps, how many were inaccurate; steps in all."""
-    rng, body = np.random.default_rng(count), robot(in_space, count)
-    followed = jax.jit(lambda mu, pulls, loads: _status(body, mu, pulls, loads))
-    good = inaccurate = 0
+def plain(in_space: bool, count: int, friction: float) -> tangent.Body:
+    """The same body in plain functions."""
+
+    def tendon(i: int):
+        def route(s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            offset = 0.010 - 0.002 * s / LENGTH if i % 2 else 0.009 + (0.0 if in_space else 0.0005 * i) + 0 * s
+            if not in_space:
+                return offset, np.pi * (i % 2) + 0 * s
+            return offset, 2 * np.pi * i / count + (1.0 if i % 3 == 0 else 0.0) * s / LENGTH
+
+        return route
+
+    def stiffness(s: np.ndarray) -> np.ndarray:
+        return 1.4e6 * np.pi / 4 * ((0.012 - 0.002 * s / LENGTH) ** 4 - 0.004**4)
+
+    return tangent.Body(LENGTH, stiffness, 2 / 3, tuple(map(tendon, range(count))), friction, in_space)
+
+
+class Way(NamedTuple):
+    """A random path."""
+
+    friction: float
+    pulls: np.ndarray  # (steps, tendons), N
+    force: np.ndarray  # (steps, components), on the tip, N
+
+
+def ways(in_space: bool, count: int, loaded: bool, paths: int) -> Iterator[Way]:
+    """The random paths of one kind; with or without loads the tensions are the same."""
+    rng = np.random.default_rng(count)
     for _ in range(paths):
         pulls = rng.uniform(0.0, LARGEST, (STEPS, count)) * (rng.random((STEPS, count)) > 1 / 7)
         for step in range(1, STEPS):
             pulls[step] = np.where(rng.random(count) < 0.4, pulls[step - 1], pulls[step])
         force = 0.4 * rng.normal(size=(STEPS, 3 if in_space else 2))
-        status = np.asarray(followed(rng.uniform(0.1, 0.6), pulls, cddf.Loads(tip_force=force) if loaded else None))
-        good += bool(np.all(status != cddf.Status.not_converged))
+        yield Way(rng.uniform(0.1, 0.6), pulls, force * loaded)
+
+
+class Kind:
+    """Bodies of one kind, and the program that follows their paths."""
+
+    def __init__(self, in_space: bool, count: int, loaded: bool):
+        self.in_space, self.count, self.loaded = in_space, count, loaded
+        body = robot(in_space, count)
+
+        @jax.jit
+        def followed(way: Way) -> cddf.History:
+            here = eqx.tree_at(lambda b: b.friction_coefficient, body, way.friction)
+            loads = cddf.Loads(tip_force=way.force) if loaded else None
+            return cddf.trace(here, way.pulls, loads, **AS_FOLLOWED)
+
+        self.followed = followed
+
+    @property
+    def words(self) -> str:
+        where, loads = "space" if self.in_space else "plane", "a force" if self.loaded else "no loads"
+        return f"{where}, {self.count} tendons, {loads}"
+
+    def judged(self, way: Way, history: cddf.History, step: int) -> tangent.Determined:
+        """The state after a step."""
+        s = np.linspace(0.0, LENGTH, ELEMENTS + 1)
+        fields, none = history.at(s), np.zeros(ELEMENTS + 1)
+        bent, slides = np.asarray(fields.curvature)[step], np.asarray(history.sliding((s[1:] + s[:-1]) / 2))[step]
+        strain = bent if self.in_space else np.stack([none, none, bent], axis=1)
+        tension = np.asarray(fields.tension)[step].reshape(self.count, -1).T
+        force = np.pad(way.force[step], (0, 3 - way.force.shape[1]))
+        return plain(self.in_space, self.count, way.friction).determined(
+            tension, strain, slides.reshape(self.count, -1).T, force
+        )
+
+    def explained(self, way: Way, step: int) -> str:
+        """In words: how a step that did not settle ends in parts, and what is known of the last state that settled."""
+        parts = np.arange(1, PARTS + 1)[:, None] / PARTS
+
+        def divided(values: np.ndarray) -> np.ndarray:
+            before = np.concatenate([np.zeros((1, values.shape[1])), values])[: step + 1]
+            path = np.concatenate([before[1:], before[-1] + parts * (values[step] - before[-1])])
+            return np.pad(path, ((0, STEPS + PARTS - len(path)), (0, 0)), mode="edge")
+
+        fine = Way(way.friction, divided(way.pulls), divided(way.force))
+        history = self.followed(fine)
+        failed = np.isnan(np.asarray(history.tip_angle))
+        last = int(np.argmax(failed)) - 1 if np.any(failed) else step + PARTS - 1
+        told = in_words(self.judged(fine, history, last)) if last >= 0 else "not even the first part"
+        return f"{last + 1 - step} of {PARTS} parts settle; then {told}"
+
+
+def in_words(told: tangent.Determined) -> str:
+    return (
+        f"{told.open_tensions} directions of tensions and {told.open_shapes} of the shape are open, a moment bends "
+        f"{told.compliance:.2f} times as far (moments missing: {told.missing:.0e})"
+    )
+
+
+def study(kind: Kind, paths: int, alone: list[int]) -> None:
+    """Follow the paths of a kind, and explain those that do not settle."""
+    good = inaccurate = judged = 0
+    opened, bent = [], []
+    for number, way in enumerate(ways(kind.in_space, kind.count, kind.loaded, paths)):
+        if alone and number not in alone:
+            continue
+        history = kind.followed(way)
+        status = np.asarray(history.status)
+        failed = status == cddf.Status.not_converged
         inaccurate += int(np.sum(status == cddf.Status.inaccurate))
-    return good, inaccurate, paths * STEPS
-
-
-def _status(body: cddf.Manipulator, mu: jax.Array, pulls: jax.Array, loads: cddf.Loads | None) -> jax.Array:
-    body = eqx.tree_at(lambda b: b.friction_coefficient, body, mu)
-    return cddf.trace(body, pulls, loads, nodes=8, short_steps=8, throw=False).status
+        if np.any(failed):
+            step = int(np.argmax(failed))
+            print(f"path {number}, step {step}: {kind.explained(way, step)}", flush=True)
+            continue
+        good += 1
+        if judged < JUDGED:
+            judged += 1
+            told = [kind.judged(way, history, step) for step in range(STEPS)]
+            opened += [one.open_tensions > 0 for one in told]
+            bent += [one.compliance for one in told]
+    count = len(alone) or paths
+    print(f"| {kind.words} | {good} of {count} | {inaccurate} of {count * STEPS} |", flush=True)
+    if bent:
+        print(
+            f"of {len(bent)} states of paths that settled {sum(opened)} leave tensions open; a moment bends "
+            f"{min(bent):.2f} to {max(bent):.2f} times as far",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":
@@ -61,7 +174,5 @@ if __name__ == "__main__":
     paths = PATHS
     if sys.argv[1:]:
         kinds, paths = [(sys.argv[1] == "space", int(sys.argv[2]), sys.argv[3] == "loaded")], int(sys.argv[4])
-    for in_space, count, loaded in kinds:
-        good, inaccurate, steps = settled(in_space, count, loaded, paths)
-        words = f"{'space' if in_space else 'plane'}, {count} tendons, {'a force' if loaded else 'no loads'}"
-        print(f"| {words} | {good} of {paths} | {inaccurate} of {steps} |", flush=True)
+    for kind in kinds:
+        study(Kind(*kind), paths, [int(number) for number in sys.argv[5:]])
