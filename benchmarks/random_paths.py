@@ -12,6 +12,7 @@ tendons. The same is told of the states after the steps of the first paths that 
 
 import sys
 from collections.abc import Iterator
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -23,6 +24,7 @@ import cddf_jax as cddf
 
 jax.config.update("jax_enable_x64", True)
 LENGTH, STEPS, PATHS, LARGEST, PARTS, JUDGED = 0.14, 12, 64, 50.0, 16, 3
+STRETCH = 1e5  # N
 AS_FOLLOWED = {"nodes": 8, "short_steps": 8, "throw": False}
 ELEMENTS = 4 * 8  # of `trace` with these nodes
 
@@ -87,15 +89,18 @@ class Kind:
 
     def __init__(self, in_space: bool, count: int, loaded: bool):
         self.in_space, self.count, self.loaded = in_space, count, loaded
-        body = robot(in_space, count)
+        body, stretch = robot(in_space, count), [np.asarray(STRETCH)] * count
+        stretching = eqx.tree_at(
+            lambda b: [t.axial_stiffness for t in b.tendons], body, stretch, is_leaf=lambda x: x is None
+        )
 
-        @jax.jit
-        def followed(way: Way) -> cddf.History:
+        def followed(body: cddf.Manipulator, way: Way) -> cddf.History:
             here = eqx.tree_at(lambda b: b.friction_coefficient, body, way.friction)
             loads = cddf.Loads(tip_force=way.force) if loaded else None
             return cddf.trace(here, way.pulls, loads, **AS_FOLLOWED)
 
-        self.followed = followed
+        self.followed = jax.jit(partial(followed, body))
+        self.stretching = jax.jit(partial(followed, stretching))
 
     @property
     def words(self) -> str:
@@ -127,8 +132,10 @@ class Kind:
         history = self.followed(fine)
         failed = np.isnan(np.asarray(history.tip_angle))
         last = int(np.argmax(failed)) - 1 if np.any(failed) else step + PARTS - 1
-        told = in_words(self.judged(fine, history, last)) if last >= 0 else "not even the first part"
-        return f"{last + 1 - step} of {PARTS} parts settle; then {told}"
+        told = in_words(self.judged(fine, history, last)) if last >= 0 else "nothing is known"
+        settles = not np.any(np.asarray(self.stretching(way).status) == cddf.Status.not_converged)
+        stretched = f"with tendons that stretch the path {'settles' if settles else 'does not settle'}"
+        return f"{last + 1 - step} of {PARTS} parts settle, where {told}; {stretched}"
 
 
 def in_words(told: tangent.Determined) -> str:

@@ -189,7 +189,7 @@ class Fit(LeastSquaresFit):
             time: s, (rows,), of a path by displacement; needed where the fit knows a lag.
             history: whether the rows are a path, pulled and released in this order; every turn counts. Else
                 each row is an equilibrium of its own, with the directions that `solve` finds; by displacement it is
-                pulled from rest.
+                pulled from rest, and its forces grow with it.
             before: with a history, the tensions before the first row: "rest", or base tensions, N, as in `fit`.
 
         Raises:
