@@ -4,10 +4,12 @@ Each path has 12 steps. Of the tensions, up to 50 N, four of ten stay from step 
 Friction is 0.1 to 0.6. Without an argument all kinds of bodies are followed; `python random_paths.py space 3 loaded 64`
 is one kind with its number of paths, and further numbers are those of paths that are followed alone, from 0.
 
-Where a step does not settle, it is followed again in 16 parts, each with as many increments as the step had. The last
-state that settled is judged by `tangent.py`, which shares nothing with the library: how many directions of tensions or
-of the shape the equations leave open there, and how far a small moment changes the shape, against the body without
-tendons. The same is told of the states after the steps of the first paths that settled.
+Where a step does not settle, it is followed again in 16 parts, each with as many increments as the step had; and with
+tendons that stretch by 1e-4 under 10 N, of which no tension is open. Some of their states within the step are judged by
+`tangent.py`, which shares nothing with the library: how many directions of tensions or of the shape would be open if
+the tendons did not stretch, and how far a small moment changes the shape, against the body without tendons. If these
+tendons do not settle either, the last state that settled is judged. States of the first paths that settled are judged
+for comparison.
 """
 
 import sys
@@ -120,7 +122,7 @@ class Kind:
         )
 
     def explained(self, way: Way, step: int) -> str:
-        """In words: how a step that did not settle ends in parts, and what is known of the last state that settled."""
+        """In words: how a step that did not settle goes in parts, and whether states within it are determined."""
         parts = np.arange(1, PARTS + 1)[:, None] / PARTS
 
         def divided(values: np.ndarray) -> np.ndarray:
@@ -129,19 +131,23 @@ class Kind:
             return np.pad(path, ((0, STEPS + PARTS - len(path)), (0, 0)), mode="edge")
 
         fine = Way(way.friction, divided(way.pulls), divided(way.force))
-        history = self.followed(fine)
-        failed = np.isnan(np.asarray(history.tip_angle))
-        last = int(np.argmax(failed)) - 1 if np.any(failed) else step + PARTS - 1
-        told = in_words(self.judged(fine, history, last)) if last >= 0 else "nothing is known"
-        settles = not np.any(np.asarray(self.stretching(way).status) == cddf.Status.not_converged)
-        stretched = f"with tendons that stretch the path {'settles' if settles else 'does not settle'}"
-        return f"{last + 1 - step} of {PARTS} parts settle, where {told}; {stretched}"
+        both = self.followed(fine), self.stretching(fine)
+        settled = [int(np.sum(np.isfinite(np.asarray(each.tip_angle)[: step + PARTS]))) for each in both]
+        states = [(both[0], settled[0] - 1)]
+        if settled[1] == step + PARTS:
+            states = [(both[1], step + part) for part in range(0, PARTS, 3)]
+        done = " and ".join(str(max(each - step, 0)) for each in settled)
+        words = f"{done} of {PARTS} parts settle, the second with tendons that stretch"
+        if min(at for _, at in states) < 0:
+            return words
+        worst = tangent.Determined(*map(max, zip(*(self.judged(fine, *state) for state in states), strict=True)))
+        return f"{words}; {in_words(worst)}"
 
 
 def in_words(told: tangent.Determined) -> str:
     return (
-        f"{told.open_tensions} directions of tensions and {told.open_shapes} of the shape are open, a moment bends "
-        f"{told.compliance:.2f} times as far (moments missing: {told.missing:.0e})"
+        f"up to {told.open_tensions} directions of tensions and {told.open_shapes} of the shape are open, a moment "
+        f"bends up to {told.compliance:.2f} times as far (moments missing: {told.missing:.0e})"
     )
 
 
