@@ -175,6 +175,23 @@ def test_what_was_before_the_path(cddf_command, robot, monkeypatch):
 
 
 @pytest.mark.parametrize(
+    ("second", "start", "before"), [("20 N", [75.0, 5.0], "rest"), ("2 mm", [40.0, 2e-3], [75.0, 5.0])]
+)
+def test_tensions_before_displacements(cddf_command, two_tendons, monkeypatch, second, start, before):
+    told = []
+
+    def stop(body, given, *_, **options):
+        first = given[0] if isinstance(given, np.ndarray) else [np.asarray(getattr(x, "value", x))[0] for x in given]
+        told.append((list(map(float, first)), np.asarray(options["before"]).tolist()))
+        raise cddf.InputError("far enough")
+
+    monkeypatch.setattr("cddf_jax.reports.trace_report.trace", stop)
+    path = "--path", "40, 20 N", "--path", second
+    assert cddf_command("trace", two_tendons, *path, "--before", "75, 5 N")[0] == 2
+    assert told == [(start, before)]
+
+
+@pytest.mark.parametrize(
     ("path", "message"),
     [
         ("75 N, -5 N", "--path, step 2: a tendon cannot push, got -5 N; give 0 N or more"),

@@ -93,6 +93,15 @@ def test_what_came_before():
 
 
 @pytest.mark.slow
+def test_a_tension_before_displacements():
+    """The same motions, whose later steps are given as displacements."""
+    whole = cddf.trace(BODY, PATH)
+    found = cddf.trace(BODY, cddf.Displacement(whole.tendon_displacement[1:]), before=PATH[0])
+    for name in ("base_tension", "tip_angle", "front"):
+        np.testing.assert_allclose(getattr(found, name), getattr(whole, name)[1:], rtol=1e-9)
+
+
+@pytest.mark.slow
 def test_derivative_by_what_came_before():
     """Mu phi = ln[y (y_0 + g) / ((y + y_0) / 2)^2] with y_0 = 1/T of what came before; without g in its derivative."""
     mu, y, y0 = PAPER["friction_coefficient"], 1 / 60.0, 1 / 75.0

@@ -125,6 +125,28 @@ def test_what_came_before_is_the_step_before_the_first(pair):
 
 
 @pytest.mark.slow
+def test_tensions_before_displacements(pair):
+    """The same motions, whose later steps are given as displacements of tendon 1."""
+    lengths = cddf.Displacement(pair.tendon_displacement[1:, 0])
+    found = cddf.trace(PAIR, [lengths, PATH[1:, 1]], before=PATH[0])
+    error = np.asarray(pair.error_estimate)[1:, None]
+    for name in ("base_tension", "tip_tension"):
+        assert np.all(np.abs(getattr(found, name) - getattr(pair, name)[1:]) < 75.0 * error)
+    np.testing.assert_allclose(found.tip_angle, pair.tip_angle[1:], atol=1e-9)  # displacement over the offset
+    np.testing.assert_allclose(found.work, pair.work[1:], rtol=1e-3)
+
+
+def test_what_follows_a_failed_step_fails_as_well():
+    failed = cddf.trace(PAIR, PATH, estimate_error=False)
+    numbers = jnp.full(len(PATH), jnp.nan), jnp.full(len(PATH), int(cddf.Status.unphysical))
+    failed = eqx.tree_at(lambda found: (found.tip_angle, found.status), failed, numbers)
+    found = cddf.trace(PAIR, PATH[:1], start=failed, estimate_error=False, throw=False)
+    assert np.all(np.isnan(found.tip_angle))
+    assert np.all(np.isnan(found.tip_tension))
+    np.testing.assert_array_equal(found.status, cddf.Status.unphysical)
+
+
+@pytest.mark.slow
 def test_tendons_that_slide_one_way_are_as_in_solve(pair):
     found = cddf.solve(PAIR, PATH[0])
     np.testing.assert_allclose(pair.tip_angle[0], found.tip_angle, rtol=GRID)
@@ -427,8 +449,6 @@ def test_bad_input_is_refused(exact):
         cddf.trace(PAIR, PATH, before=80.0)
     with pytest.raises(ValueError, match="before must hold tensions of 0 N or more"):
         cddf.trace(PAIR, PATH, before=[80.0, -1.0])
-    with pytest.raises(ValueError, match="before= needs tensions along the path"):
-        cddf.trace(PAIR, [cddf.Displacement([1e-3]), [10.0]], before=[80.0, 1.0])
     for push in (None, (0.0, 0.0), (0.0, np.nan), (1.0,)):
         with pytest.raises(ValueError, match="push"):
             cddf.tip_compliance(exact, push=push)

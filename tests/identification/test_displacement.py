@@ -302,7 +302,10 @@ def test_a_displacement_beside_base_tensions_is_a_reading():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"before": 5.0}, "simulated: before holds tensions, but displacements set the tendons; begin each trial"),
+        (
+            {"before": 5.0},
+            "simulated: before holds tensions, but displacements set the tendons; begin each",
+        ),
         ({"free": ["lag"]}, "simulated: lag needs the column time; add it, or do not fit lag"),
         ({"noise": {"displacement": -1.0}}, "noise of displacement must be one standard deviation in m, 0 or more"),
     ],

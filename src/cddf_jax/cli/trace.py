@@ -37,7 +37,7 @@ BeforeOption = Annotated[
     str | None,
     typer.Option(
         help='The largest base tension before the path, such as "80 N", from which the tendon is released to the first '
-        'step; with several tendons one for each, such as "80 N, 20 N".',
+        'step; with several tendons one for each, such as "80 N, 20 N". Displacements before it are its first steps.',
         show_default="rest",
     ),
 ]

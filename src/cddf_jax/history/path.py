@@ -34,17 +34,18 @@ class Path(NamedTuple):
         count = self.tension.shape[0]
         return self._replace(loads=jax.tree.map(lambda x: jnp.broadcast_to(x, (count, *x.shape)), loads))
 
-    def behind(self, tension: Float[Array, " tendons"]) -> "Path":
-        """The same path with one more step before the first, under the loads that act before it, or under none."""
+    def before(self, tension: Float[Array, " tendons"]) -> "Path":
+        """One step to these tensions, under the loads that act before the first step, or under none."""
         resting = self.resting
         if resting is None:
             resting = jax.tree.map(lambda x: jnp.zeros_like(x[0]), self.loads)
-        return Path(
-            jnp.concatenate([tension[None].astype(self.tension.dtype), self.tension]),
-            jnp.concatenate([jnp.zeros_like(self.goal[:1]), self.goal]),
-            jax.tree.map(lambda first, loads: jnp.concatenate([first[None], loads]), resting, self.loads),
-            self.resting,
-        )
+        loads = jax.tree.map(lambda x: x[None], resting)
+        return Path(tension[None].astype(self.tension.dtype), jnp.zeros_like(self.goal[:1]), loads, self.resting)
+
+    def behind(self, tension: Float[Array, " tendons"]) -> "Path":
+        """The same path behind one more step, as in `before`."""
+        parts = [path._replace(resting=None) for path in (self.before(tension), self)]
+        return jax.tree.map(lambda *x: jnp.concatenate(x), *parts)._replace(resting=self.resting)
 
 
 def as_numbers(values: object, name: str) -> Array:

@@ -1,6 +1,7 @@
 """`trace`: pull and release, and `tip_compliance` of what it returns."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Literal
 
@@ -70,6 +71,7 @@ def trace(
         before: the largest base tension, N, that the tendon had before it was released to the first step; "rest" for
             tendons that never had a tension. For several tendons, (tendons,), and under loads, it is a step before the
             first, to which all tensions rise linearly from rest; loads that change along the path come after it.
+            Displacements before the path are its first steps.
         start: the history of the same body that continues, in place of `before`. Its elements are kept, not `nodes`.
             The carry of `jax.lax.scan` must keep its structure: begin with a history of as many steps as each call has,
             such as `trace(body, [0.0])` for one step.
@@ -171,7 +173,9 @@ def _in_increments(
 ) -> History:
     """Follow a path; `goes_on`: whether the loads of `start` stay."""
     if earlier is not None and kind.driven:
-        raise ValueError("trace: before= needs tensions along the path; give earlier displacements as the first steps")
+        by_tension = kind._replace(driven=())
+        start = _in_increments(manipulator, path.before(earlier), False, None, None, by_tension)
+        return _in_increments(manipulator, path, False, None, start, kind)
     path = path if earlier is None else path.behind(earlier)
     states = None if start is None else start._states
     if goes_on and isinstance(states, SteppedStates):
@@ -189,7 +193,16 @@ def _in_increments(
         raise ValueError("trace: start is a history of one tendon without loads; trace it with loads from rest on")
     history = stepped_history(manipulator, path, states, kind)
     history = history if earlier is None else after_first(history)
+    history = history if start is None else _after(start, history)
     return squeezed(history) if manipulator.num_tendons == 1 else history
+
+
+def _after(start: History, history: History) -> History:
+    """The history that continues another one; where the last step of that one failed, all steps failed as it did."""
+    good = jnp.isfinite(start.tip_angle[-1])
+    numbers = nan_unless(good, replace(history, status=None, _states=None))
+    status = jnp.where(good, history.status, start.status[-1])
+    return replace(numbers, status=status, _states=history._states)
 
 
 def _check_same_points(loads: Loads | None, before: Loads) -> None:

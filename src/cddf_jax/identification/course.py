@@ -376,8 +376,8 @@ def course_of(
     known = noise or {}
     if any(by_length) and not all(start.from_rest for start in starts):
         raise InputError(
-            f"{table.name}: before holds tensions, but displacements set the tendons; begin each trial with the pull "
-            "before it"
+            f"{table.name}: before holds tensions, but displacements set the tendons; begin each trial with a row of "
+            "the displacements before it, whose readings may be empty"
         )
     for start in (start for start in starts if not start.from_rest and len(start.tension) != len(pulled)):
         raise InputError(
