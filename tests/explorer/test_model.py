@@ -146,6 +146,33 @@ def test_data_of_two_tendons_lie_over_their_own_tensions():
     assert [fig.select_one({"name": "data"}).visible for fig in plots.figures.values()] == [False, False]
 
 
+@pytest.mark.slow
+def test_rows_of_displacements_are_drawn_over_them():
+    """A tendon at a constant offset that does not stretch turns the tip by its displacement over the offset."""
+    pulled = 1e-3 * np.array([4.0, 8.0, 5.0, -1.0])
+    table = cddf.Measurements.from_columns("driven", displacement=pulled, tip_angle=100 * pulled, step=range(4))
+    body = paper_body("exact")
+    explored = Exploration(body, (table,))
+    assert explored.notes == []
+    ((rows, model),) = explored.in_rows(body)
+    assert rows is table
+    np.testing.assert_allclose(model["tip_angle"], np.maximum(pulled, 0.0) / 0.010, rtol=1e-9)
+    plots = TensionPlots(1, explored.over)
+    plots.show_points("rows", [(table, model)])
+    plots.show_now(explored.picture(explored.case(explored.start)))
+    angle = plots.points["angle"]
+    np.testing.assert_allclose(angle["rows"].data["base"], 1e3 * pulled)
+    (now,) = angle["now"].data["base"]
+    assert np.radians(angle["now"].data["value"]) == pytest.approx(now / 10.0, rel=1e-9)
+    assert plots.figures["angle"].xaxis.axis_label == "Displacement (mm)"
+    by_tension = cddf.Measurements.from_columns("cell", base_tension=[5.0], tip_angle=[0.1])
+    both = Exploration(body, (table, by_tension))
+    assert both.over == "base_tension"
+    assert both.notes == [
+        "driven: driven by displacement, and the tip is drawn over base tensions; explore it alone to see it"
+    ]
+
+
 PROFILES = {
     "longer": Linear(0.020, 0.012, 0.16),
     "pieces": Piecewise([0.05], [0.018, Linear(0.020, 0.013, 0.14)]),

@@ -1,6 +1,6 @@
 """What the explorer shows: a body with the numbers of the sliders, solved by a program that is compiled once."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
@@ -15,9 +15,10 @@ from ..errors import InputError, within
 from ..figures.geometry import lines_along, stations
 from ..files.manipulator_file import manipulator_text
 from ..identification.bench import Bench, experiment_of
-from ..identification.course import course_of, is_driven_by_length, paths_of
+from ..identification.course import course_of, how_followed, is_driven_by_length, paths_of
 from ..identification.parameters import BenchSetting
 from ..measurements.forces import forces_of
+from ..measurements.readings import set_by
 from ..measurements.table import Measurements
 from ..mechanics.directions import as_directions
 from ..mechanics.fields import AnyFields, SpatialFields
@@ -85,6 +86,7 @@ class Curve(NamedTuple):
     base_tension: np.ndarray
     tip_tension: np.ndarray
     tip_angle: np.ndarray
+    tendon_displacement: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -176,27 +178,29 @@ class Exploration:
     def in_rows(self, body: Manipulator) -> list[tuple[Measurements, dict[str, np.ndarray]]]:
         """Tables for which no single curve holds, and by column the readings of a body in their rows.
 
-        They have several tendons, forces, tendons that slide out, or loops in a known order. A reading is NaN without a
-        good solve.
+        They have several tendons, forces, tendons that slide out, loops in a known order, or displacements. A reading
+        is NaN without a good solve.
         """
-        found = []
-        for table in self.drawn:
-            followed = paths_of(table, None) and table not in self.not_followed
-            course = course_of(table)[0] if followed else None
+        found, how = [], how_followed(body, (), self.setting.loads)
+        for table in self.tables:
+            paths = None if table in self.not_followed else paths_of(table, None)
+            course = course_of(table, paths=paths, **how)[0] if paths else None
             rows = experiment_of(table, body, course=course, setting=self.setting)
             if isinstance(rows, Bench) and not rows.on_one_curve:
                 found.append((table, jax.tree.map(np.asarray, _in_rows(rows, body))))
         return found
 
     @property
-    def drawn(self) -> list[Measurements]:
-        """The tables whose rows can be drawn over base tensions; those of displacements can be fitted alone."""
-        return [table for table in self.tables if not is_driven_by_length(table)]
+    def over(self) -> str:
+        """What readings of the tip are drawn over: displacements if these alone set tendons, else base tensions."""
+        pulled = [is_driven_by_length(table) for table in self.tables if set_by(table.columns)]
+        return "displacement" if pulled and all(pulled) else "base_tension"
 
     @property
     def not_followed(self) -> list[Measurements]:
-        """Tables with a history whose rows are drawn without it: of several tendons or loads."""
-        return [table for table in self.drawn if paths_of(table, None) and not self._is_exact(table)]
+        """Tables of base tensions with a history whose rows are drawn without it: of several tendons or loads."""
+        by_tension = [table for table in self.tables if not is_driven_by_length(table)]
+        return [table for table in by_tension if paths_of(table, None) and not self._is_exact(table)]
 
     def _is_exact(self, table: Measurements) -> bool:
         """Whether a history of these rows has an exact answer: one tendon without loads."""
@@ -208,9 +212,10 @@ class Exploration:
         """Notes on the tables."""
         read_as = [line for table in self.tables for line in table.read_as]
         why = "each row is drawn as an equilibrium of its own; a fit follows the order of the rows"
-        driven = "driven by displacement, so it is fitted and not drawn"
-        not_drawn = [f"{table.name}: {driven}" for table in self.tables if table not in self.drawn]
-        places = {table.name: forces_of(table.columns, len(table))[0] for table in self.drawn}
+        beside = "driven by displacement, and the tip is drawn over base tensions; explore it alone to see it"
+        driven = self.tables if self.over == "base_tension" else ()
+        not_drawn = [f"{table.name}: {beside}" for table in driven if is_driven_by_length(table)]
+        places = {table.name: forces_of(table.columns, len(table))[0] for table in self.tables}
         hung = [
             f"{name}: the crosses hold with the forces at {', '.join(own)} of the rows; no slider sets these forces"
             for name, own in places.items()
@@ -256,11 +261,13 @@ def _solve(case: Case) -> Equilibrium:
 
 
 @eqx.filter_jit
-def _over_tension(case: Case, tendon: Int[ArrayLike, ""], pulls: Float[ArrayLike, " pulls"]) -> tuple[Array, Array]:
+def _over_tension(case: Case, tendon: Int[ArrayLike, ""], pulls: Float[ArrayLike, " pulls"]) -> tuple[Array, ...]:
     def at(pull):
         pulled = eqx.tree_at(lambda c: c.base_tension, case, jnp.asarray(case.base_tension).at[tendon].set(pull))
         equilibrium = _solve(pulled)
-        return where_good(equilibrium.status, (equilibrium.tip_tension[jnp.asarray(tendon)], equilibrium.tip_angle))
+        own = equilibrium.tip_tension, equilibrium.tendon_displacement
+        tip, pulled_in = (each[jnp.asarray(tendon)] for each in own)
+        return where_good(equilibrium.status, (tip, equilibrium.tip_angle, pulled_in))
 
     return jax.vmap(at)(pulls)
 
@@ -269,10 +276,10 @@ def _over_tension(case: Case, tendon: Int[ArrayLike, ""], pulls: Float[ArrayLike
 def _in_rows(rows: Bench, body: Manipulator) -> dict[str, Array]:
     shown = rows.shown(body, {}, NODES)
     readings = rows.readings(shown, rows.columns, {})
-    return dict(zip(readings, where_good(shown.status, tuple(readings.values())), strict=True))
+    return dict(zip(readings, where_good(shown.status, tuple(readings.values()), (*GOOD, Status.slack)), strict=True))
 
 
-def where_good(status: Int[Array, "*lanes"], numbers: tuple) -> tuple:
+def where_good(status: Int[Array, "*lanes"], numbers: tuple, good_ones: Sequence[Status] = GOOD) -> tuple:
     """The numbers of a solve; NaN without a good status."""
-    good = (status == GOOD[0]) | (status == GOOD[1])
+    good = jnp.isin(status, jnp.array(good_ones))
     return tuple(jnp.where(good, number, jnp.nan) for number in numbers)

@@ -27,6 +27,7 @@ class Loop(NamedTuple):
     base_tension: np.ndarray
     tip_tension: np.ndarray
     tip_angle: np.ndarray
+    tendon_displacement: np.ndarray
     front: np.ndarray  # up to where, from the base, the tendon slid last
     status: np.ndarray
     position: np.ndarray  # (points, components) of the axis
@@ -81,16 +82,16 @@ def loop_of(body: Manipulator, turns: Turns, arc_length: np.ndarray) -> Loop:
     """The loop at the end of a path, for which `why_no_loop` gives no reason."""
     ends = np.array([0.0] * (NUM_LEGS + 1 - len(turns)) + list(turns))
     path = np.concatenate([np.linspace(*leg, NUM_POINTS + 1)[1:] for leg in pairwise(ends)])
-    tip, angle, *state = map(np.asarray, _along(body, path, arc_length))
+    tip, angle, pulled_in, *state = map(np.asarray, _along(body, path, arc_length))
     since = -NUM_POINTS * (len(turns) - 1) - 1  # without the pull from rest
-    return Loop(path[since:], tip[since:], angle[since:], *state)
+    return Loop(path[since:], tip[since:], angle[since:], pulled_in[since:], *state)
 
 
 @eqx.filter_jit
 def _along(
     body: Manipulator, path: Float[ArrayLike, " steps"], arc_length: Float[ArrayLike, " points"]
 ) -> tuple[Array, ...]:
-    """Tip tension and angle along a path; front, status and axis at its end."""
+    """Tip tension, tip angle and displacement along a path; front, status and axis at its end."""
     history = trace(body, path, max_turns=NUM_LEGS + 1, throw=False)
     end = history.front[-1], history.status[-1], history.at(arc_length).position[-1]
-    return history.tip_tension, history.tip_angle, *end
+    return history.tip_tension, history.tip_angle, history.tendon_displacement, *end

@@ -15,6 +15,7 @@ from ..measurements.table import Measurements
 from ..mechanics.fields import in_the_plane
 from ..quantities import QUANTITIES
 from ..robot.manipulator import Manipulator
+from ..statics.equilibrium import Equilibrium
 from .model import Curve, Picture
 from .past import Loop
 
@@ -34,7 +35,7 @@ MARKS: dict[str, Look] = {  # of readings, and of the model in their rows
     "rows": {"size": 7, "marker": "x", "legend_label": "model at the data"},
 }
 NONE = np.zeros((0, 2))  # points
-NOTHING_PULLED: Columns = {name: [0.0] for name in ("base", "tension", "angle")}
+NOTHING_PULLED: Columns = {name: [0.0] for name in ("base", "pull", "tension", "angle")}
 NO_POINTS: Columns = {"base": [], "value": [], "color": []}
 
 
@@ -200,13 +201,17 @@ class AlongPlots:
 
 
 class TensionPlots:
-    """Tip tension and tip angle over base tension: model, present state, data, and the model in their rows.
+    """Tip tension and tip angle over base tension or displacement: model, present state, data, the model in their rows.
 
-    Tip tensions are drawn over the base tension of the same tendon; the angle and the model belong to the tendon whose
-    tension moved last.
+    Tip tensions are drawn over what set the same tendon; the angle and the model belong to the tendon whose tension
+    moved last.
     """
 
-    def __init__(self, num_tendons: int):
+    def __init__(self, num_tendons: int, over: str = "base_tension"):
+        """`over`: the kind of column that set the tendons."""
+        self.columns = of_tendons(over, num_tendons)
+        self.of_model = {"displacement": "tendon_displacement"}.get(over, over)  # its name in what is computed
+        self.label, (self.scale, self.unit) = QUANTITIES[over].label, QUANTITIES[over].shown
         self.looks = [tendon_look(i)["line_color"] if num_tendons > 1 else BLACK for i in range(num_tendons)]
         self.tendon = 0  # whose tension moved last
         self.curve = ColumnDataSource(NOTHING_PULLED)
@@ -217,10 +222,11 @@ class TensionPlots:
         self.shown: dict[str, Sequence[TableColumns]] = {"data": (), "rows": ()}
         self.loops = {name: ColumnDataSource({"base": [0.0], "value": [0.0]}) for name in labels}
         self.figures = {
-            name: bare_figure("Base tension (N)", y, height=255, name=f"tip_{name}") for name, y in labels.items()
+            name: bare_figure(f"{self.label} ({self.unit})", y, height=255, name=f"tip_{name}")
+            for name, y in labels.items()
         }
         free = {"color": GREY, "line_dash": "dotted", "legend_label": "without loss"}
-        self.figures["tension"].line("base", "base", source=self.curve, **free)
+        self.figures["tension"].line("base", "pull", source=self.curve, **free)
         for name in labels:
             self._draw(self.figures[name], name)
         self._name_tendon()
@@ -253,33 +259,40 @@ class TensionPlots:
     def _name_tendon(self) -> None:
         if len(self.looks) == 1:
             return
-        self.figures["angle"].xaxis.axis_label = f"Base tension of tendon {self.tendon + 1} (N)"
+        self.figures["angle"].xaxis.axis_label = f"{self.label} of tendon {self.tendon + 1} ({self.unit})"
         for fig in self.figures.values():
             (item,) = (item for item in fig.legend[0].items if item.renderers[0].name == "model")
             item.label = value(f"model for tendon {self.tendon + 1}")
 
     def show_points(self, kind: str, tables: Sequence[TableColumns]) -> None:
-        """Columns of tables over the base tension: readings for the kind "data", the model in their rows for "rows"."""
+        """Columns of tables over what set the tendons: readings for "data", the model in their rows for "rows"."""
         self.shown[kind] = tables
-        over = of_tendons("base_tension", len(self.looks))[self.tendon]
         found: dict[str, list[Points]] = {name: [] for name in self.points}
         for table, columns in tables:
             for column, values in columns.items():
-                if kind_of(column) == "tip_tension":
-                    base = table[column.replace("tip_tension", "base_tension")]
-                    found["tension"].append((base, values, self.looks[tendon_number(column) - 1]))
-                elif column == "tip_angle":
-                    found["angle"].append((table[over], np.degrees(values), BLACK))
+                tip, of_tendon = kind_of(column), tendon_number(column) - 1
+                over = self.columns[of_tendon if tip == "tip_tension" else self.tendon]
+                if over not in table:
+                    continue
+                if tip == "tip_tension":
+                    found["tension"].append((self.scale * table[over], values, self.looks[of_tendon]))
+                elif tip == "tip_angle":
+                    found["angle"].append((self.scale * table[over], np.degrees(values), BLACK))
         for name, parts in found.items():
             self.points[name][kind].data = _points(parts)
             show_named(self.figures[name], kind, bool(parts))
+
+    def _base(self, found: Loop | Equilibrium | Curve) -> np.ndarray:
+        """What is drawn over, as it is shown."""
+        return self.scale * np.asarray(getattr(found, self.of_model))
 
     def show_loop(self, loop: Loop | None) -> None:
         """The loop of the tension, and the present state with its past; None for nothing."""
         if loop is not None:
             for name, values in (("tension", loop.tip_tension), ("angle", np.degrees(loop.tip_angle))):
-                self.loops[name].data = {"base": loop.base_tension, "value": values}
-                self.points[name]["past"].data = _points([(loop.base_tension[-1:], values[-1:], BLACK)])
+                base = self._base(loop)
+                self.loops[name].data = {"base": base, "value": values}
+                self.points[name]["past"].data = _points([(base[-1:], values[-1:], BLACK)])
         for fig in self.figures.values():
             for kind in ("loop", "past"):
                 show_named(fig, kind, loop is not None)
@@ -287,9 +300,10 @@ class TensionPlots:
     def show_now(self, picture: Picture) -> None:
         """The present state, as the sliders are set."""
         found, i = picture.equilibrium, self.tendon
+        base = self._base(found)
         now = {
-            "tension": (found.base_tension, found.tip_tension, BLACK),
-            "angle": (found.base_tension[i : i + 1], np.degrees([found.tip_angle]), BLACK),
+            "tension": (base, found.tip_tension, BLACK),
+            "angle": (base[i : i + 1], np.degrees([found.tip_angle]), BLACK),
         }
         for name, part in now.items():
             self.points[name]["now"].data = _points([part])
@@ -299,7 +313,8 @@ class TensionPlots:
         if curve.tendon != self.tendon:
             return  # another one has moved meanwhile
         angle = np.degrees(curve.tip_angle)
-        self.curve.data = {"base": curve.base_tension, "tension": curve.tip_tension, "angle": angle}
+        own = {"pull": curve.base_tension, "tension": curve.tip_tension, "angle": angle}
+        self.curve.data = Columns(base=self._base(curve), **own)
         rises = not angle[-1] < angle[0]
         self.figures["angle"].legend[0].location = "top_left" if rises else "top_right"  # beside the curve
 

@@ -70,9 +70,8 @@ class ExplorerView:
         self.several = body.num_tendons > 1
         self.body = SpacePlot(body) if body.in_space else BodyPlot(body, s)
         self.along = AlongPlots(self.body.over_arc_length, body.num_tendons, s)
-        self.tension = TensionPlots(body.num_tendons)
-        pulled = [table for table in exploration.drawn if "base_tension" in table]
-        self._show_points("data", [(table, table.columns) for table in pulled])
+        self.tension = TensionPlots(body.num_tendons, exploration.over)
+        self._show_points("data", [(table, table.columns) for table in exploration.tables])
         self._make_controls()
         self._make_words()
         parts = {
