@@ -225,7 +225,8 @@ class TensionPlots:
             name: bare_figure(f"{self.label} ({self.unit})", y, height=255, name=f"tip_{name}")
             for name, y in labels.items()
         }
-        free = {"color": GREY, "line_dash": "dotted", "legend_label": "without loss"}
+        words = "without loss" if over == "base_tension" else "base tension"
+        free = {"color": GREY, "line_dash": "dotted", "legend_label": words}
         self.figures["tension"].line("base", "pull", source=self.curve, **free)
         for name in labels:
             self._draw(self.figures[name], name)
