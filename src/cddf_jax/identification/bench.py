@@ -26,6 +26,7 @@ from ..measurements.markers import Marker, marker_column, marker_positions, mark
 from ..measurements.readings import NAMED, READINGS, columns_of, kind_of, kind_of_set, of_tendons, set_by, tendon_number
 from ..measurements.table import Measurements
 from ..mechanics.capstan import pulling_tension
+from ..numerics.arrays import evaluated
 from ..progress import stage
 from ..quantities import TAKE_THE_PLANE
 from ..robot.loads import Loads, PointLoad
@@ -275,8 +276,28 @@ class Bench(eqx.Module):
             return replace(self, actuation=self.actuation + more, name=self.name)
         return replace(self, course=replace(self.course, readings=self.course.readings + more))
 
-    def evaluate(self, manipulator: Manipulator, parameters: Parameters, nodes: int) -> Evaluation:
-        """Every reading of every row with its derivatives, whether it was read or not."""
+    def evaluate(
+        self, manipulator: Manipulator, parameters: Parameters, nodes: int, *, by_base: bool = True
+    ) -> Evaluation:
+        """Every reading of every row with its derivatives, whether it was read or not.
+
+        `by_base`: also by the base readings.
+        """
+        bare = self._bare(manipulator)
+        along = bare.along if by_base else bare.along[:0]
+        with stage(f"solving {len(self.actuation)} rows"):
+            answer = _evaluate(bare, manipulator, jax.tree.map(np.asarray, parameters), along, nodes)
+        return jax.tree.map(lambda x: np.asarray(x)[: len(self.actuation)], answer)
+
+    def ended(self, manipulator: Manipulator, parameters: Parameters, nodes: int) -> Evaluation:
+        """How the solves of the rows ended; without readings and derivatives, of which a history has many."""
+        bare, rows = self._bare(manipulator), slice(len(self.actuation))
+        with stage(f"solving {len(self.actuation)} rows"):
+            shown = evaluated(Bench.shown, bare, manipulator, jax.tree.map(np.asarray, parameters), nodes)
+        return Evaluation({}, {}, shown.status[rows], shown.direction_contradicted[rows], {})
+
+    def _bare(self, manipulator: Manipulator) -> "Bench":
+        """The same rows without names and columns, padded, so that tables share compiled programs."""
         rows = self.actuation.shape[0]
         fill = -rows % (FEW if self.one_by_one(manipulator) else LANES)
 
@@ -288,10 +309,7 @@ class Bench(eqx.Module):
         if course is not None:
             trial, step = padded((course.trial, course.step))
             course = replace(course, trial=trial, step=step)
-        with stage(f"solving {rows} rows"):
-            bare = Bench(*own, course=course, setting=self.setting, tendons=self.tendons)
-            answer = _evaluate(bare, manipulator, jax.tree.map(np.asarray, parameters), bare.along, nodes)
-        return jax.tree.map(lambda x: np.asarray(x)[:rows], answer)
+        return Bench(*own, course=course, setting=self.setting, tendons=self.tendons)
 
 
 def _with_slack_ones(shown: Shown, tendons: Int[np.ndarray | Array, " set"], count: int) -> Shown:

@@ -464,7 +464,7 @@ def _conclude(
 ) -> Fit:
     """The result of `fit` from the statistics: the body with the estimates, and how the solves of each table ended."""
     body = model.manipulator
-    ends = tuple(solve_results(statistics.parameters, tables, model))
+    ends = tuple(solve_results(statistics.parameters, tables, model, statistics.input_noise))
     groups = bench.groups_of(tables, model)
     followed = [table for table, one in zip(tables, model.experiments, strict=True) if getattr(one, "in_order", False)]
     reasons = unexplained_pose(statistics, groups, body), doubt(ends), *map(runs_backwards, followed)

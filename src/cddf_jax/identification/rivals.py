@@ -88,7 +88,8 @@ def rivals_of(fit: LeastSquaresFit, tables: Sequence[Measurements], model: Bench
         course, _ = course_of(table, noise, paths=paths_of(table, options["history"]), **how)
         course = replace(course, number=None if one.course is None else one.course.number)
         bench = replace(one, course=course, name=one.name)
-        slopes[name] = bench.evaluate(model.manipulator, parameters, model.nodes).derivatives
+        shown = bench.evaluate(model.manipulator, parameters, model.nodes, by_base=False)
+        slopes[name] = shown.derivatives
     ends = np.cumsum([np.size(parameters[name]) for name in sorted(parameters)])  # in the flat order
     places = dict(zip(sorted(parameters), (ends - 1).tolist(), strict=True))
     groups = groups_of(tables, model)

@@ -1,6 +1,6 @@
 """The result of a fit in words: what the data determine and what not, why the fit is doubtful, and warnings."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -58,11 +58,15 @@ class SolveResults(NamedTuple):
         return np.isin(np.asarray(self.status), statuses) & self.read
 
 
-def solve_results(parameters: Parameters, tables: Sequence[Measurements], model: BenchModel) -> Iterator[SolveResults]:
-    """One for each table of the manipulator."""
+def solve_results(
+    parameters: Parameters, tables: Sequence[Measurements], model: BenchModel, inputs: Collection[str] = ()
+) -> Iterator[SolveResults]:
+    """One for each table of the manipulator; `inputs`: what was set and has errors, by table and column."""
     for name, table, experiment in zip(model.names, tables, model.experiments, strict=True):
         if isinstance(experiment, Bench):
-            shown = experiment.evaluate(model.manipulator, parameters, model.nodes)
+            errors = any(label.startswith(f"{name}: ") for label in inputs)  # then the search has compiled `evaluate`
+            solved = experiment.evaluate if errors or experiment.course is None else experiment.ended
+            shown = solved(model.manipulator, parameters, model.nodes)
             found = [way is None for way in experiment.direction]  # a direction that the table states is not doubted
             against = np.any(np.asarray(shown.against)[:, found], axis=1)
             contradicted = np.asarray(shown.status) == Status.direction_contradicted
