@@ -125,12 +125,8 @@ class History(eqx.Module):
 
     @property
     def _energies(self) -> Energies:
-        """Kept where they are numbers, so that a look at work and one at the friction loss compute them once."""
         self._check_single("work")
-        kept = vars(self).get("_kept") or _known_energies(self._states, self.tip_angle)
-        if not isinstance(kept.work, Tracer):
-            vars(self)["_kept"] = kept  # no field: another history, with other numbers, does not take it over
-        return kept
+        return _known_energies(self._states, self.tip_angle)
 
     def _check_single(self, asked: str) -> None:
         """Refuse a batch.
