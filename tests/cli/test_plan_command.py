@@ -78,6 +78,23 @@ def test_added_to_what_was_measured(run):
     assert "not identified" not in lines[3]
 
 
+def test_candidates_of_a_bench_driven_by_displacement(fails, run, tmp_path, monkeypatch):
+    """Their largest displacement is that of the tables, if none is given."""
+    told = []
+
+    def stop(*given):
+        told.append(given[-1])
+        raise cddf.InputError("far enough")
+
+    monkeypatch.setattr("cddf_jax.identification.experiment_design.standard_candidates", stop)
+    monkeypatch.setattr("cddf_jax.identification.fit.fit", lambda *_, **__: None)
+    (tmp_path / "bench.csv").write_text("step,displacement [mm],tip_angle [deg]\n1,0,0\n2,9,40\n3,4,22\n")
+    for arguments in ((), (tmp_path / "bench.csv",), ("--displacement", "12 mm")):
+        run(PAPER, *arguments)
+    assert told == [None, 9e-3, 12e-3]
+    assert fails("plan", PAPER, "--displacement", "0 mm") == "--displacement 0 mm: give a displacement above 0 mm"
+
+
 def test_options_that_are_refused(fails):
     for options, message in (
         (("--tension", "0 N"), "give a tension above 0 N"),

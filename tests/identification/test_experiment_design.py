@@ -178,6 +178,31 @@ def test_a_candidate_that_reads_nothing():
 
 
 @pytest.mark.slow
+@pytest.mark.slow
+def test_what_separates_modulus_and_compliance_of_a_driven_bench():
+    """E C alone decides the shape, docs/how_to/displacement.md; newtons come by a cell at the tip or a weight there."""
+    body = cddf.Manipulator(
+        length=0.14,
+        outer_radius=0.012,
+        inner_radius=0.007,
+        youngs_modulus=1.4e6,
+        friction_coefficient=0.3,
+        tendons=[cddf.Tendon(0.009, outside_compliance=2e-5)],
+    )
+    free = ["friction_coefficient", "youngs_modulus", "outside_compliance"]
+    found = cddf.plan(body, cddf.standard_candidates(body, 20.0, displacement=10e-3), free, num=1)
+    expected = {ranked.candidate.name: ranked.expected for ranked in found.ranking}
+    product = ["outside_compliance * youngs_modulus"]
+    for name in ("loop", "loop of half the displacement", "loop with a marker in the middle"):
+        assert expected[name].status["youngs_modulus"] == "not identified"
+        assert [*expected[name].combinations] == product
+    for name in ("loop with a load cell at the tip", "loop under a tip weight of 1 N"):
+        assert {*expected[name].status.values()} == {"identified"}
+    assert found.chosen[0].candidate.name == "loop with a load cell at the tip"
+    plain, marked = (expected[name].standard_error for name in ("loop", "loop with a marker in the middle"))
+    assert marked["friction_coefficient"] < plain["friction_coefficient"]
+
+
 def test_poses_one_after_another_are_planned_as_they_are_fitted():
     """Three tendons in space; the expected errors are those of a fit to the same rows, simulated and without noise."""
     body = three_tendon_tube()

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import cddf_jax as cddf
+from cddf_jax.identification.rivals import Rival, alike_in_words
 from cddf_jax.measurements.loop_sense import loop_widths, runs_backwards
 
 D, COMPLIANCE, STIFFNESS, NOISE = 0.009, 2e-5, 0.02, 2e-4  # m, m/N, N m^2, rad
@@ -48,9 +49,37 @@ def test_friction_on_the_body_is_left_alone():
     found = fitted(table(cddf.trace(robot(0.3), cddf.Displacement(PULLED)).tip_angle))
     assert found.status["friction_coefficient"] == "identified"
     assert abs(found.value["friction_coefficient"] - 0.3) < 3 * found.standard_error["friction_coefficient"]
-    assert {rival.name for rival in found.rivals} <= {"lag", "backlash", "friction_moment", "outside_drag"}
+    constant = {"lag", "backlash", "friction_moment", "outside_drag"}
+    assert {rival.name for rival in found.rivals} == {*constant, "slack_offset", "outside_friction"}
     assert all(rival.gain < 6 for rival in found.rivals)
     assert all(abs(rival.friction - 0.3) < 4 * rival.standard_error for rival in found.rivals)
+
+
+@pytest.mark.slow
+def test_in_one_loop_backlash_and_constant_friction_look_alike():
+    """The data have a backlash of 0.04 mm beside friction, and one way back.
+
+    A force F outside the body and a moment F d of the body make the same loop: either is missing in E J kappa = d T.
+    """
+    there, follows = PULLED[:11], [0.0]
+    for motor in there[1:]:
+        follows.append(min(max(follows[-1], motor), motor + 4e-5))
+    found = fitted(table(cddf.trace(robot(0.2), cddf.Displacement(follows)).tip_angle, there))
+    named = {rival.name: rival for rival in found.rivals}
+    moment, force = named["friction_moment"], named["outside_drag"]
+    assert moment.value == pytest.approx(force.value * D, rel=1e-3)
+    assert moment.gain == pytest.approx(force.gain, abs=0.1)
+    assert any("friction_moment, outside_drag explain them about equally well" in said for said in found.warnings)
+    assert any("do not tell friction on the body from backlash" in said for said in found.warnings)
+
+
+@pytest.mark.parametrize(("gains", "names"), [((50.0, 47.0, 3.0), "one, two"), ((50.0, 40.0, 45.0), "one, three")])
+def test_rivals_that_explain_loops_as_well_are_named_together(gains, names):
+    """A difference of 6 in BIC is clear."""
+    every = [Rival(name, 1.0, gain, 0.0, 0.1, 1.0) for name, gain in zip(("one", "two", "three"), gains, strict=True)]
+    (said,) = alike_in_words(every)
+    assert said.startswith(f"loops by displacement: {names} explain them about equally well, and")
+    assert alike_in_words(every[:1]) == alike_in_words([]) == []
 
 
 def test_widths_of_a_loop_are_those_of_its_ways():

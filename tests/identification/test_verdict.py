@@ -103,6 +103,18 @@ def test_intervals_carry_their_unit():
     ]
 
 
+def test_advice_for_displacements_names_what_tells_newtons_and_what_tells_backlash():
+    """docs/how_to/displacement.md: displacements and shapes hold no newtons; a backlash keeps its width."""
+    table = Measurements("bench", {"displacement": np.arange(3.0), "tip_angle": np.arange(3.0)}, np.arange(3))
+    found = SimpleNamespace(status={}, combinations={}, sums={})
+    told = advice_on(found, [table], {"youngs_modulus", "outside_compliance_2"})
+    assert told.startswith("The data do not determine outside_compliance_2, youngs_modulus. What would separate them: ")
+    assert "them: a load cell at the tip, a known weight at the tip; cddf plan" in told
+    told = advice_on(found, [table], {"backlash"})
+    assert "them: a load cell at the tip, a loop of another amplitude; cddf plan" in told
+    assert "separate" not in advice_on(found, [table], {"outside_friction"})
+
+
 @pytest.mark.parametrize(
     ("lost", "advised"),
     [

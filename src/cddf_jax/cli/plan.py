@@ -17,6 +17,13 @@ def plan(
     column: options.Column = None,
     average_holds: options.AverageHolds = False,
     tension: Annotated[str, typer.Option(help="Largest base tension of the candidates, with its unit.")] = "85 N",
+    displacement: Annotated[
+        str | None,
+        typer.Option(
+            help="Largest displacement of the candidates, with its unit, of a bench driven by displacement. Without it "
+            "that of such tables; else the candidates are driven by base tension."
+        ),
+    ] = None,
     free: options.Free = None,
     tip_force: options.TipForce = None,
     tip_moment: options.TipMoment = None,
@@ -46,6 +53,7 @@ def plan(
     with stage("loading"):
         from ..identification.experiment_design import plan, standard_candidates
         from ..identification.fit import fit
+        from ..measurements.readings import kind_of_set, set_by
         from ..reports.plan_report import plan_report
         from ..units import quantity
         from .fit_options import read_leave_out, read_setting
@@ -60,6 +68,12 @@ def plan(
     if tables:
         rows, followed = read_leave_out(leave_out), "each" if each_from_rest else history
         known = fit(manipulator, tables, names, setting=setting, history=followed, leave_out=rows)
-    candidates = standard_candidates(manipulator, largest, setting)
+    driven = [table[name] for table in tables for name in set_by(table.columns) if kind_of_set(name) == "displacement"]
+    furthest = max((float(max(values)) for values in driven), default=0.0)
+    if displacement is not None:
+        furthest = quantity(displacement, "length", "--displacement")
+        if not furthest > 0:
+            raise InputError(f"--displacement {displacement}: give a displacement above 0 mm")
+    candidates = standard_candidates(manipulator, largest, setting, furthest if furthest > 0 else None)
     found = plan(known, candidates, names, setting=setting, criterion=criterion, num=num)
     options.give(plan_report(found), out, as_json=as_json)

@@ -271,21 +271,29 @@ def _experiment(
     return experiment_of(table, body, course=course, setting=setting, free=("angle_zero",))  # no reading is known yet
 
 
-def standard_candidates(manipulator: Manipulator, tension: float, setting: BenchSetting = PLAIN) -> list[Candidate]:
+def standard_candidates(
+    manipulator: Manipulator, tension: float, setting: BenchSetting = PLAIN, displacement: float | None = None
+) -> list[Candidate]:
     """The usual measurements on a bench, six levels each, with the noise of usual instruments.
 
     Args:
         manipulator: the body; with two tendons or more, one candidate also pulls the second tendon, and in another
             all are pulled in turn, with what they remember.
-        tension: the largest base tension, N.
+        tension: the largest base tension, N; of a bench driven by displacement the range of the load cell.
         setting: of the bench; with loads in all rows a single tendon has no release.
+        displacement: of a bench driven by it, the largest one, m. Then tendon 1 is pulled and released, and the others
+            hang slack.
     """
     levels = tension * np.arange(1, 7) / 6
     cell, angle, place = 0.01 * tension, np.radians(1.0), 1e-3
     axes = ("tip_x", "tip_y", "tip_z")[: manipulator.components]
     wraps = np.radians([45.0, 90.0, 135.0, 180.0, 225.0, 270.0])
+    pulley = Candidate("pulley test", {"wrap_angle": wraps, "weight": 0.1 * tension}, {"pulling_tension": cell})
+    if displacement is not None:
+        middle = f"@{500 * float(np.asarray(manipulator.length)):.9g}mm"
+        return [pulley, *_loops(displacement, cell, dict.fromkeys(axes, place), middle)]
     found = [
-        Candidate("pulley test", {"wrap_angle": wraps, "weight": 0.1 * tension}, {"pulling_tension": cell}),
+        pulley,
         Candidate("tip tensions", {"base_tension": levels}, {"tip_tension": cell}),
         Candidate("tip angles", {"base_tension": levels}, {"tip_angle": angle}),
         Candidate("tip tensions and angles", {"base_tension": levels}, {"tip_tension": cell, "tip_angle": angle}),
@@ -306,6 +314,21 @@ def standard_candidates(manipulator: Manipulator, tension: float, setting: Bench
         found.append(Candidate("tip tensions, second tendon pulled as well", pulled, {"tip_tension": cell}))
         found.append(_in_turn(manipulator.num_tendons, tension, dict.fromkeys(axes, place)))
     return found
+
+
+def _loops(largest: float, cell: float, tip: Mapping[str, float], middle: str) -> list[Candidate]:
+    """Loops of tendon 1 by displacement; `tip`: the noise of its place, m; `middle`: the end of columns of a marker."""
+    there = largest * np.array([0, 1, 2, 3, 4, 5, 6, 5, 4, 3, 2, 1, 0]) / 6
+    loop = {"displacement": there, "time": 10.0 * np.arange(there.size)}
+    marker = {name.removeprefix("tip_") + middle: noise for name, noise in tip.items()}
+    return [
+        Candidate("loop", loop, tip),
+        Candidate("loop of half the displacement", loop | {"displacement": there / 2}, tip),
+        Candidate("loop, ten times as fast", loop | {"time": np.arange(there.size)}, tip),
+        Candidate("loop with a load cell at the tip", loop, {**tip, "tip_tension": cell}),
+        Candidate("loop with a marker in the middle", loop, {**tip, **marker}),
+        Candidate("loop under a tip weight of 1 N", loop | {"tip_force_y": -1.0}, tip),
+    ]
 
 
 def _in_turn(num_tendons: int, tension: float, noise: Mapping[str, float]) -> Candidate:

@@ -50,7 +50,7 @@ from .predictions import (
     tip_misfits,
 )
 from .random_effects import errors_of_base, fit_trials
-from .rivals import Rival, rivals_of
+from .rivals import Rival, alike_in_words, rivals_of
 from .tension_before import Before
 from .verdict import (
     AGAINST,
@@ -118,6 +118,7 @@ class Fit(LeastSquaresFit):
             *warnings_of_inputs(self, tables, self.model, self.options["noise"]),
             *warnings_of_numbers(self, self.moved_by_steps),
             *(rival.in_words for rival in self.rivals if rival.in_words),
+            *alike_in_words(self.rivals),
             *repeated_tables(tables),
             *warnings_of_kinematics(tables, self.manipulator),
             *(remark for remark in self.remarks if not remark.startswith(TRIALS)),

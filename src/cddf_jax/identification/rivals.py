@@ -21,12 +21,13 @@ from ..quantities import dimension_of
 from ..units import shown
 from .bench import Bench, BenchModel, Group, groups_of
 from .course import course_of, paths_of
-from .parameters import PARAMETERS, along_a_path, parameter_named
+from .parameters import TRIALS, along_a_path, parameter_named
 from .predictions import noise_of_readings
 
 Options: TypeAlias = Mapping[str, Any]
 
-RIVALS = ("lag", "backlash", "friction_moment", "outside_drag")
+RIVALS = ("slack_offset", "lag", "backlash", "friction_moment", "outside_drag", "outside_friction")
+ONE_SIDED = RIVALS[1:]  # the body comes after its motors, and friction takes
 FRICTION = "friction_coefficient"
 CLEAR = 6.0  # in BIC: a smaller gain is no reason to doubt
 WIDER = 3.0  # times the standard error of friction: the data do not tell it from a rival that widens it so much
@@ -60,6 +61,18 @@ class Rival(NamedTuple):
         return ""
 
 
+def alike_in_words(rivals: Sequence[Rival]) -> list[str]:
+    """That several rivals explain the loops about as well; [] where at most one explains them."""
+    best = max((rival.gain for rival in rivals), default=0.0)
+    alike = [rival.name for rival in rivals if rival.gain > max(CLEAR, best - CLEAR)]
+    if len(alike) < 2:
+        return []
+    return [
+        f"loops by displacement: {', '.join(alike)} explain them about equally well, and these data do not tell which "
+        "it is; a load cell at the tip would, and loops of other amplitudes and speeds tell some apart (cddf plan)"
+    ]
+
+
 def rivals_of(fit: LeastSquaresFit, tables: Sequence[Measurements], model: BenchModel, options: Options) -> list[Rival]:
     """What else may have made the loops of a fit; [] where friction is not identified or no displacement turns.
 
@@ -77,8 +90,9 @@ def rivals_of(fit: LeastSquaresFit, tables: Sequence[Measurements], model: Bench
     if not fit.success or fit.status.get(FRICTION) != IDENTIFIED or not turns:
         return []
     timed = all(_has_times(table, options) for _, table, _ in driven)
-    given = [parameter_named(name).name for _, _, one in driven for name in one.setting.given]
-    known = {*along_a_path(model.manipulator, fit.names), *given}
+    given = [name for _, _, one in driven for name in one.setting.given]
+    own = [parameter_named(name).name for name in (*fit.names, *given) if not name.startswith(TRIALS)]
+    known = {*along_a_path(model.manipulator, ()), *own}
     names = [name for name in RIVALS if name not in known and (timed or name != "lag")]
     parameters = {**jax.tree.map(np.asarray, dict(fit.parameters)), **{name: np.zeros(()) for name in names}}
     slopes = {}
@@ -118,7 +132,7 @@ def _column(
 
 
 def _rival(fit: LeastSquaresFit, name: str, column: np.ndarray) -> Rival | None:
-    """The best fit with one more column in the Jacobian; None where it would be below its bound."""
+    """The best fit with one more column in the Jacobian; None where the data do not know it."""
     evidence, known = fit.evidence, fit.evidence.jacobian
     residual, more = np.zeros(len(known)), np.zeros(len(known))
     residual[: column.size] = np.concatenate([fit.standardised_residuals[label] for label in evidence.rows])
@@ -129,8 +143,8 @@ def _rival(fit: LeastSquaresFit, name: str, column: np.ndarray) -> Rival | None:
     both = np.column_stack([known, more / size])
     step, *_ = np.linalg.lstsq(both, residual, rcond=1e-9)
     value = float(step[-1]) / size
-    if PARAMETERS[name].positive and value <= 0:
-        return None
+    if name in ONE_SIDED and value <= 0:  # it would stay at 0
+        value, step = 0.0, 0.0 * step
     left = residual - both @ step
     gain, ends = -np.log(column.size), np.cumsum([len(rows) for rows in evidence.rows.values()])
     groups = zip(np.split(residual, ends)[:-1], np.split(left, ends)[:-1], strict=True)

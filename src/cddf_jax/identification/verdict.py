@@ -21,6 +21,7 @@ from ..robot.manipulator import Manipulator
 from ..statics.status import NOTEWORTHY, Status, words_of
 from ..units import preferred, shown
 from .bench import Bench, BenchModel, Group
+from .course import is_driven_by_length
 from .parameters import TRIALS, Parameters, parameter_named, unit_of
 from .predictions import noise_of_readings
 from .random_effects import many_levels
@@ -34,6 +35,14 @@ MOST_ALIKE = 0.999  # a correlation of neighbours that is counted; at 1 nothing 
 LEAST_RESIDUAL = 0.1  # over the noise; smaller residuals that are alike make no error too small
 AGAINST = "tendons travel against the direction that was found for them"
 MOST = 0.5  # of a table's rows; with more rows without a solution the fit fails
+NEWTONS = {"youngs_modulus", "stiffness_factor", "outside_compliance"}  # displacements tell no forces
+SEPARATE = {  # of a bench driven by displacement: measurements, and the parameters that each tells from others
+    "a load cell at the tip": {*NEWTONS, "friction_coefficient", "friction_moment", "outside_drag", "backlash"},
+    "a known weight at the tip": NEWTONS,
+    "a marker in the middle": {"friction_coefficient"},
+    "a loop of another amplitude": {"backlash", "slack_offset"},
+    "a loop of another speed": {"lag"},
+}
 OUTSIDE = {  # statuses of rows without a solution, by their names in messages
     "not physical": Status.unphysical,
     "locked": Status.locked,
@@ -343,6 +352,13 @@ def advice_on(fit: LeastSquaresFit, tables: Sequence[Measurements], lost: set[st
         return (
             f"The data do not determine {', '.join(sorted(lost))}. Some have the same effect: only the sums and "
             "differences above are determined. Fix one parameter of each, or give it a prior."
+        )
+    stems = {parameter_named(name).name for name in lost}
+    separate = [what for what, tells in SEPARATE.items() if stems & tells]
+    if any(map(is_driven_by_length, tables)) and separate:
+        return (
+            f"The data do not determine {', '.join(sorted(lost))}. What would separate them: {', '.join(separate)}; "
+            "cddf plan says by how much. Or give a value that is measured in another way, or a prior."
         )
     if _hold_shape(tables):
         pulley = " (friction: a pulley test)" if "friction_coefficient" in lost else ""
