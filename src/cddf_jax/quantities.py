@@ -64,6 +64,7 @@ _ALL = (
     Quantity("end", "length"),
     Quantity("free_length", "length"),
     Quantity("outside_compliance", "compliance", "compliance of the tendon outside the body"),
+    Quantity("tendon_stretch", "stretch", "strain of the tendon per tension, 1 / (E A)"),
     Quantity("outside_friction", "dimensionless", "friction of the tendon outside the body, mu times wrap angle"),
     Quantity("outside_drag", "force", "constant friction of the tendon outside the body"),
     Quantity("friction_moment", "moment", "friction moment of the body"),

@@ -334,7 +334,8 @@ def fit(
             is found from the readings), the direction of gravity (`gravity_turn_x`, ...), and errors of dimensions
             (`outer_radius_error`, `tendon_angle_error`), best with priors. With a history it may be friction besides
             that of tendons on the body (`friction_moment`, `outside_friction`, `outside_drag`), of tendons driven by
-            displacement what stands between motor and body (`slack_offset`, `outside_compliance`, `backlash`, `lag`;
+            displacement what stands between motor and body (`slack_offset`, `outside_compliance`, `backlash`, `lag`,
+            and `tendon_stretch`, 1 / (E A) of the tendon;
             `slack_offset_trial_2` in trial 2 alone, of all tendons, `slack_offset_1_trial_2` of tendon 1),
             or `before` (`before_2` for trial 2), the largest base tension before the first row, N; of several tendons
             that of tendon 1 before it, and `before_tendon_2` (`before_tendon_2_3` for trial 3).

@@ -64,6 +64,7 @@ PARAMETERS = {
         Parameter("pretension", 1.0, True, 0.5),  # of every tendon; the cells read 0 there
         Parameter("slack_offset", 0.0, False, 1e-3),  # the displacement, as read, at which a tendon begins to pull
         Parameter("outside_compliance", 1e-5, True, 1e-5),  # of the tendon and all that it pulls on outside the body
+        Parameter("tendon_stretch", 1e-5, True, 1e-5),  # 1 / (E A) of the tendon, on the body and outside
         Parameter("outside_friction", 0.1, True, 0.1),  # there, mu times the angle of a sheath or pulleys
         Parameter("outside_drag", 0.1, True, 0.1),  # there, a force that does not depend on the tension
         Parameter("friction_moment", 1e-3, True, 1e-3),  # of the body
@@ -81,8 +82,9 @@ OUT_OF_PLANE = tuple(f"{name}_{axis}" for name in ("camera_turn", "gravity_turn"
 OF_SPACE = ("poissons_ratio", "tendon_angle_error", "camera_z", *OUT_OF_PLANE)
 OF_STRETCH = ("axial_factor", "shear_factor")
 OUTSIDE = ("outside_compliance", "outside_friction", "outside_drag")  # of a tendon, between body and actuator
+NO_STRETCH = 1e-30  # 1/N, of a tendon that does not stretch, so that derivatives there are finite
 OF_TENDONS = (  # each tendon may have its own
-    *("base_gain", "tip_gain", "base_zero", "tip_zero", "slack_offset", "tendon_angle_error"),
+    *("base_gain", "tip_gain", "base_zero", "tip_zero", "slack_offset", "tendon_angle_error", "tendon_stretch"),
     *OUTSIDE,
 )
 _OF_TRIAL = re.compile(r"slack_offset(?:_([1-9]\d*))?_trial_([1-9]\d*)")  # a tendon, or else all, in one trial
@@ -145,8 +147,10 @@ def starting_value(manipulator: Manipulator, name: str, given: Mapping[str, floa
     if given and name in given:
         return float(given[name])
     own = getattr(manipulator, name, None)
-    if (stem := parameter_named(name).name) in OUTSIDE:
-        number = tendon_number(name) - 1
+    stem, number = parameter_named(name).name, tendon_number(name) - 1
+    if stem == "tendon_stretch":
+        own = manipulator.tendon_compliance[number]
+    if stem in OUTSIDE:
         compliance = manipulator.tendon_outside_compliance[number]
         own = compliance if stem == "outside_compliance" else getattr(manipulator.tendons[number], stem)
     return float(own) if own is not None and (start is None or own > 0) else float(start or 0.0)
@@ -171,6 +175,12 @@ def with_parameters(manipulator: Manipulator, parameters: Parameters) -> Manipul
             if tendon.angle is not None
         ]
         body = eqx.tree_at(lambda m: [tendon.angle for tendon in m.tendons], body, angles)
+    if any(name.startswith("tendon_stretch") for name in parameters):
+        tendons = [
+            replace(tendon, axial_stiffness=1.0 / (own_or_common(parameters, "tendon_stretch", i, own) + NO_STRETCH))
+            for i, (tendon, own) in enumerate(zip(body.tendons, body.tendon_compliance, strict=True), 1)
+        ]
+        body = eqx.tree_at(lambda m: m.tendons, body, tuple(tendons))
     for name in (name for name in OUTSIDE if any(given.startswith(name) for given in parameters)):
         tendons = [
             replace(tendon, **{name: own_or_common(parameters, name, i, getattr(tendon, name))})

@@ -35,7 +35,7 @@ MOST_ALIKE = 0.999  # a correlation of neighbours that is counted; at 1 nothing 
 LEAST_RESIDUAL = 0.1  # over the noise; smaller residuals that are alike make no error too small
 AGAINST = "tendons travel against the direction that was found for them"
 MOST = 0.5  # of a table's rows; with more rows without a solution the fit fails
-NEWTONS = {"youngs_modulus", "stiffness_factor", "outside_compliance"}  # displacements tell no forces
+NEWTONS = {"youngs_modulus", "stiffness_factor", "outside_compliance", "tendon_stretch"}  # displacements tell no forces
 SEPARATE = {  # of a bench driven by displacement: measurements, and the parameters that each tells from others
     "a load cell at the tip": {*NEWTONS, "friction_coefficient", "friction_moment", "outside_drag", "backlash"},
     "a known weight at the tip": NEWTONS,
