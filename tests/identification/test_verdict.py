@@ -7,7 +7,6 @@ import pytest
 
 import cddf_jax as cddf
 from cddf_jax.identification.bench import Bench, BenchModel, Evaluation
-from cddf_jax.identification.course import course_of
 from cddf_jax.identification.fit import _without_contradicted
 from cddf_jax.identification.verdict import SolveResults, advice_on, doubt, estimates_in_words, solve_results
 from cddf_jax.measurements.table import Measurements
@@ -48,17 +47,6 @@ def test_stated_directions_are_believed_tendon_by_tendon(stated, expected, monke
     (found,) = solve_results({}, [table], BenchModel(None, (rows,), 16))
     assert np.flatnonzero(found.contradicted).tolist() == expected
     assert (doubt([found]) == "") == (not expected)
-
-
-@pytest.mark.parametrize(("inputs", "asked"), [((), "ended"), (("bench: base_tension",), "evaluate")])
-def test_derivatives_of_a_history_are_taken_where_what_was_set_has_errors(inputs, asked, monkeypatch):
-    found, told = Evaluation({}, {}, np.zeros(2, int), np.zeros((2, 1), bool), {}), []
-    for name in ("ended", "evaluate"):
-        monkeypatch.setattr(Bench, name, lambda *_, name=name: told.append(name) or found)
-    table = Measurements("bench", {"base_tension": np.ones(2), "tip_tension": np.ones(2)}, np.arange(1, 3))
-    rows = Bench(np.ones((2, 1)), (None,), course=course_of(table)[0], name="bench")
-    assert [*solve_results({}, [table], BenchModel(None, (rows,), 16), inputs)]
-    assert told == [asked]
 
 
 def test_all_contradicted_rows_are_named_with_the_option_that_leaves_them_out():

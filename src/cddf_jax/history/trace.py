@@ -173,7 +173,7 @@ def _in_increments(
 ) -> History:
     """Follow a path; `goes_on`: whether the loads of `start` stay."""
     if earlier is not None and kind.driven:
-        by_tension = kind._replace(driven=())
+        by_tension = kind._replace(driven=())  # static, so that this step is no step of the path
         start = _in_increments(manipulator, path.before(earlier), False, None, None, by_tension)
         return _in_increments(manipulator, path, False, None, start, kind)
     path = path if earlier is None else path.behind(earlier)
