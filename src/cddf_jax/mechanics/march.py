@@ -54,7 +54,6 @@ class Part(NamedTuple):
     strain: Array | None  # the elastic strain there, approximately; None where it has a closed form
 
 
-@eqx.filter_jit  # within a program it is traced once for equal shapes
 def march(
     problem: Problem, guess: Nodal, strain: Array | None = None, whole: bool = False
 ) -> tuple[State, State, State, Array]:
