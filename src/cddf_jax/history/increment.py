@@ -81,7 +81,7 @@ def _after_increment(setting: Setting) -> tuple[Node, PerElement, Bool[Array, ""
     zero, before = zero_as(setting), setting.before
     start, share = varying_as((_with_ends(setting, before.nodes), before.share), zero)
     sliding_on = _strain_of(share)  # where tendons slide, they are expected to slide on
-    first = _begun(start, sliding_on, share, zero + tol.ELASTIC, zero)
+    first = _begun(start, sliding_on, share, zero + _elastic(setting, tol.ELASTIC), zero)
 
     def unfinished(state: _Search) -> Bool[Array, ""]:
         return ~state.done & (state.attempt < len(tol.ATTEMPTS))
@@ -104,15 +104,17 @@ def _round(setting: Setting, start: Node, state: _Search) -> _Search:
     part = jnp.where(halved, 0.5, 1.0)
     nodes = jax.tree.map(lambda x, dx: x + part * dx, state.nodes, change)
     share = jnp.clip(law.level + part * law.slope * change.slip[1:], -1.0, 1.0)
-    size, last = _size(setting.grid, nodes, change), state.elastic <= tol.ELASTIC
+    least = _elastic(setting, tol.ELASTIC)
+    size, last = _size(setting.grid, nodes, change), state.elastic <= least
     _, shrink, rough, most = (jnp.asarray(x)[state.attempt.astype(int)] for x in zip(*tol.ATTEMPTS, strict=True))
-    elastic = jnp.maximum(jnp.where(size < rough, shrink, 1.0) * state.elastic, tol.ELASTIC)
+    elastic = jnp.maximum(jnp.where(size < rough, shrink, 1.0) * state.elastic, least)
     done = last & ~halved & (size < jnp.where(state.rounds > tol.PATIENCE, tol.INCREMENT_ROUNDING, tol.INCREMENT))
     onward = _Search(
         nodes, _strain(setting, nodes, elastic), share, elastic, state.rounds + 1, size, state.attempt, done
     )
     attempt = state.attempt + 1
-    first = jnp.asarray([elastic for elastic, *_ in tol.ATTEMPTS] + [1.0])[attempt.astype(int)] + 0.0 * elastic
+    firsts = jnp.asarray([elastic for elastic, *_ in tol.ATTEMPTS] + [1.0], least.dtype)
+    first = _elastic(setting, firsts[attempt.astype(int)])
     again = _begun(start, _strain(setting, start, first), setting.before.share, first, attempt)
     stuck = ~done & (~all_finite(size) | (state.rounds >= most))
     return jax.tree.map(lambda a, b: jnp.where(stuck, a, b), again, onward)
@@ -125,8 +127,9 @@ def _(primals, tangents):
     none = jnp.zeros_like(nodes.tension[0, 0])
 
     def law_of(setting: Setting) -> _Law:
-        strain = _strain(setting, nodes, tol.ELASTIC)
-        law = _law(setting, _Search(nodes, strain, share, none + tol.ELASTIC, none, none, none, none > 0))
+        least = _elastic(setting, tol.ELASTIC)
+        strain = _strain(setting, nodes, least)
+        law = _law(setting, _Search(nodes, strain, share, least, none, none, none, none > 0))
         return law._replace(slope=jax.lax.stop_gradient(law.slope))  # it only scales what is zero
 
     def rows(setting: Setting):
@@ -144,7 +147,12 @@ def _strain_of(share: PerElement) -> PerElement:
     return share / jnp.sqrt(jnp.maximum(1.0 - share**2, tol.SLIDING))
 
 
-def _strain(setting: Setting, nodes: Node, elastic: Number | float) -> PerElement:
+def _elastic(setting: Setting, part: Number | float) -> Number:
+    """An elastic slip, m, from its part of the largest offset."""
+    return jax.lax.stop_gradient(part * setting.grid.scale)
+
+
+def _strain(setting: Setting, nodes: Node, elastic: Number) -> PerElement:
     """X. What a tendon has slid before, it need not slide back: its x starts from a bound."""
     before = setting.before
     start = jnp.clip(_strain_of(before.share), -tol.REMEMBERED, tol.REMEMBERED)
@@ -159,7 +167,7 @@ def _law(setting: Setting, state: _Search) -> _Law:
 
 def _share(setting: Setting, nodes: Node) -> PerElement:
     """z; a tendon without tension forgets it."""
-    strain = _strain(setting, nodes, tol.ELASTIC)
+    strain = _strain(setting, nodes, _elastic(setting, tol.ELASTIC))
     taut = jnp.maximum(nodes.tension[:-1], nodes.tension[1:]) > 0
     return jnp.where(taut, strain / jnp.sqrt(1.0 + strain**2), 0.0)
 
