@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import codes, paper_body
+from bodies import PAPER, codes, paper_body
 
 import cddf_jax as cddf
 
@@ -46,6 +46,14 @@ def test_without_an_estimate_the_answer_is_the_same(pair):
     np.testing.assert_array_equal(found.status, cddf.Status.successful)
     on = [cddf.trace(PAIR, PATH[:1], start=each, estimate_error=False).tip_angle for each in (found, pair)]
     np.testing.assert_allclose(on[0], on[1], rtol=1e-10)
+
+
+def test_a_small_body_is_similar(pair):
+    """All lengths a twentieth, and the tensions their square: angles and tensions in proportion, as every law says."""
+    small = {name: np.asarray(PAPER[name]) / 20 for name in ("length", "outer_radius", "inner_radius", "tendon_offset")}
+    found = cddf.trace(paper_body("exact", num_tendons=2, **small), PATH / 400)
+    np.testing.assert_allclose(found.tip_angle, pair.tip_angle, rtol=1e-9)
+    np.testing.assert_allclose(400 * found.tip_tension, pair.tip_tension, rtol=1e-9)
 
 
 @pytest.mark.slow
