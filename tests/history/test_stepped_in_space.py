@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from bodies import both_modes
 from refusals import refused
+from scipy.spatial.transform import Rotation
 
 import cddf_jax as cddf
 
@@ -28,8 +29,6 @@ SIDE_LOAD = (
     ((50.0, 10.0), (0.0, 0.3, 0.3), (132.2469, 37.0669, 2.4294), None),
     ((50.0, 10.0), (0.0, 0.0, 0.0), (132.5077, 36.2805, 0.0), (38.3745, 13.0206)),
     ((50.0, 10.0), (0.0, -0.3, 0.3), (132.7968, 35.2303, 2.4737), (39.1522, 12.7649)),
-    ((50.0, 10.0), (0.0, 0.0, 0.0), (132.6783, 35.7346, 0.0), None),
-    ((20.0, 10.0), (0.0, 0.0, 0.0), (139.2436, 11.2588, 0.0), (22.1308, 9.0372)),
 )
 STRETCHING = (
     ((50.0, 10.0), (0.0, 0.0, 0.0), (132.9345, 35.2863, 0.0), (37.8596, 13.2067)),
@@ -141,10 +140,15 @@ def test_a_push_on_the_tip(plane_and_space):
     np.testing.assert_allclose([z, *turns[:2]], 0.0, atol=1e-6)
 
     smooth = eqx.tree_at(lambda b: b.friction_coefficient, PAIR, np.asarray(0.0))
-    bent = cddf.trace(smooth, RELEASED, **FEW)
-    one, other = (cddf.tip_compliance(bent, push=(0.0, 0.0, push), short_steps=4) for push in (0.02, -0.02))
+    bent, given_way = cddf.trace(smooth, RELEASED, **FEW), []
+    for push in (0.02, -0.02):
+        solved = cddf.solve(smooth, RELEASED[-1], cddf.Loads(tip_force=(0.0, 0.0, push)), nodes=8)
+        given_way.append((cddf.tip_compliance(bent, push=(0.0, 0.0, push), short_steps=4), solved))
+    (one, up), (other, down) = given_way
+    moved = (up.tip_position - down.tip_position) / 0.04
+    turned = Rotation.from_matrix(up.tip_frame @ down.tip_frame.T).as_rotvec() / 0.04
     aside = (one - other) / 2  # without what grows with the square of the push
-    np.testing.assert_allclose(aside, cddf.tip_compliance(smooth, RELEASED[-1], nodes=8)[:, 2], rtol=2e-3, atol=1e-6)
+    np.testing.assert_allclose(aside, [*moved, *turned], rtol=2e-3, atol=1e-6)
     assert refused(cddf.tip_compliance, bent, push=(0.0, 0.1), error=ValueError) == (
         "tip_compliance: after a history, push= must have 3 components (X, Y, Z), N, got (0.0, 0.1)"
     )
@@ -197,9 +201,10 @@ def test_random_paths_settle_and_forget(loaded):
     def after(before):
         return cddf.trace(STARS, np.concatenate([before, pull]), loads, **FEW)
 
-    expected = after(np.zeros((6, 3)))  # as many steps: one program for all
-    for _ in range(3):
-        found = after(rng.uniform(0.0, 60.0, (6, 3)))
+    steps = 3 if loaded else 6  # under loads each takes long
+    expected = after(np.zeros((steps, 3)))  # as many steps: one program for all
+    for _ in range(2 if loaded else 3):
+        found = after(rng.uniform(0.0, 60.0, (steps, 3)))
         assert np.all(np.isfinite(found.tip_angle))
         np.testing.assert_allclose(found.tip_tension[-1], expected.tip_tension[-1], atol=1e-3)
         np.testing.assert_allclose(found.tip_position[-1], expected.tip_position[-1], atol=1e-6 * LENGTH)
