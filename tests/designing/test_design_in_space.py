@@ -78,13 +78,6 @@ def test_the_least_tension_for_a_pose():
     assert (angle.lower, angle.upper) == pytest.approx((0.5 - np.pi, 0.5 + np.pi))  # half a turn either way
 
 
-@pytest.mark.slow
-def test_what_a_stiffer_body_costs():
-    """T_base d / (E J) is that of the pose, so that the tension is proportional to the modulus."""
-    found = pose()
-    assert found.sensitivity["youngs_modulus"] == pytest.approx(found.objective / E, rel=1e-6)
-
-
 # --- most twist ----------------------------------------------------------------------------------
 
 
