@@ -176,18 +176,26 @@ def test_a_marker_on_a_loop_brings_friction_modulus_and_camera_back():
     np.testing.assert_allclose([fit.value[name] for name in free], [MU, E, 0.01], rtol=1e-6)
 
 
+CAMERA = np.array([0.01, -0.02, 0.03, 0.3, -0.2, 0.1])
+POSE = [f"{name}_{axis}" for name in ("camera", "camera_turn") for axis in "xyz"]
+
+
 @pytest.mark.slow
-def test_a_marker_and_the_tip_on_a_loop_in_space():
-    """The same in space, without a fit: the positions and frames of `solve`."""
+def test_a_marker_and_the_tip_on_a_loop_in_space_as_a_camera_sees_them():
+    """The same in space, without a fit: the positions and frames of `solve`, turned by SciPy."""
     body = winding()
     tips, (fields, columns) = loop(body, 0.14)[0], loop(body, HEAD.arc_length)
-    heads = np.array([f.position + np.asarray(f.frame) @ np.array(HEAD.offset) for f in fields])
-    columns |= {f"{axis}@head": heads[:, i] for i, axis in enumerate("xyz")}
+    heads = [f.position + np.asarray(f.frame) @ np.array(HEAD.offset) for f in fields]
+    turn = Rotation.from_rotvec(CAMERA[3:])
+    for end, places in (("@head", heads), ("", [tip.position for tip in tips])):
+        seen = turn.apply(np.array(places)) + CAMERA[:3]
+        columns |= {f"{axis}@head" if end else f"tip_{axis}": seen[:, i] for i, axis in enumerate("xyz")}
     table = cddf.Measurements.from_columns("simulated", **columns)
     rows = experiment_of(table, body, course=course_of(table)[0], setting=cddf.BenchSetting(markers={"head": HEAD}))
-    shown = rows.shown(body, {}, 16)
-    np.testing.assert_allclose(shown.markers[:, 0], heads, atol=1e-8)
-    np.testing.assert_allclose(shown.tip_position, [tip.position for tip in tips], atol=1e-8)
+    shown = rows.predict(body, dict(zip(POSE, CAMERA, strict=True)), 16)
+    assert len(shown) == 6
+    for name, values in shown.items():
+        np.testing.assert_allclose(values, columns[name], atol=1e-8, err_msg=name)
 
 
 @pytest.mark.slow
@@ -203,38 +211,6 @@ def test_markers_of_a_history_under_loads():
     fields = expected.at(0.08)
     heads = np.asarray(fields.position) + np.einsum("sij,j->si", np.asarray(fields.frame), np.array(HEAD.offset))
     np.testing.assert_allclose(found.markers[:, 0], heads, atol=1e-9)
-
-
-def seen(position):
-    """As the camera sees it, by SciPy's rotations."""
-    return Rotation.from_rotvec(CAMERA[3:]).apply(np.array(position)) + CAMERA[:3]
-
-
-CAMERA = np.array([0.01, -0.02, 0.03, 0.3, -0.2, 0.1])
-POSE = [f"{name}_{axis}" for name in ("camera", "camera_turn") for axis in "xyz"]
-
-
-@pytest.mark.slow
-def test_a_helix_a_marker_and_the_pose_of_a_camera():
-    """Positions of `solve`, turned by SciPy, bring friction, modulus and pose back."""
-    body, pulls = winding(friction_coefficient=MU, youngs_modulus=E), np.linspace(10.0, 70.0, 4)
-    found = [cddf.solve(body, pull) for pull in pulls]
-    at = [one.at(HEAD.arc_length) for one in found]
-    head = seen([here.position + here.frame @ np.array(HEAD.offset) for here in at])
-    tip = seen([one.tip_position for one in found])
-    columns = {f"{axis}@head": head[:, i] for i, axis in enumerate("xyz")}
-    columns |= {f"tip_{axis}": tip[:, i] for i, axis in enumerate("xyz")}
-    columns["tip_tension"] = np.array([one.tip_tension[0] for one in found])
-    table = cddf.Measurements.from_columns("simulated", base_tension=pulls, **columns)
-    noise = {column: 0.05 if column == "tip_tension" else 1e-4 for column in columns}
-    free = ["friction_coefficient", "youngs_modulus", *POSE]
-    fit = cddf.fit(winding(), table, free, setting=cddf.BenchSetting(markers={"head": HEAD}), noise=noise)
-    assert fit.success
-    np.testing.assert_allclose([fit.value[name] for name in POSE], CAMERA, atol=1e-8)
-    assert fit.value["friction_coefficient"] == pytest.approx(MU, rel=1e-7)
-    assert fit.value["youngs_modulus"] == pytest.approx(E, rel=1e-7)
-    there = fit.predict("z@head", pulls[:2])
-    np.testing.assert_allclose(there.value, head[:2, 2], atol=1e-9)
 
 
 @pytest.mark.slow
