@@ -105,7 +105,9 @@ def identification():
     cddf.plan(fit, cddf.standard_candidates(robot, 85.0)[:2], num=1)
     cddf.model_free_friction(cddf.read_measurements(DATA / "tip_angle_simulated.csv"))
     up_and_down = [10.0, 40.0, 80.0, 20.0, 10.0]
-    loop = cddf.Measurements.from_columns(base_tension=up_and_down, tip_tension=[9.2, 29.6, 47.0, 24.3, 10.9])
+    loop = cddf.Measurements.from_columns(
+        base_tension=up_and_down, tip_tension=cddf.trace(robot, up_and_down).tip_tension
+    )
     cddf.model_free_loop(loop)
     loops = cddf.fit(robot, loop, history=True, before=["rest"], nodes=8)
     loops.predict("tip_tension", up_and_down, history=True, before=15.0)

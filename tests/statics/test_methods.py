@@ -26,16 +26,6 @@ def test_one_pass_is_enough_where_its_result_does_not_depend_on_the_guess(case):
     assert (cddf.solve(body, 75.0).num_iterations == 1) == enough
 
 
-@pytest.mark.parametrize("frictions", [(0.3, 0.3, 0.3), (0.3, 0.2, 0.4)])
-def test_parallel_tendons_in_space_with_the_same_friction_need_no_passes(frictions):
-    tendons = [
-        cddf.Tendon(0.010, angle=2.0 * i, end=end, friction_coefficient=mu)
-        for i, (end, mu) in enumerate(zip((None, 0.08, None), frictions, strict=True))
-    ]
-    found = cddf.solve(paper_with(*tendons), [40.0, 30.0, 5.0], direction=1)
-    assert (found.num_iterations == 0) == (len(set(frictions)) == 1)
-
-
 def tension_of(friction, modulus, direction):
     body = replace(PARALLEL, friction_coefficient=friction, youngs_modulus=modulus)
     solution = cddf.solve(body, 75.0, direction=direction, throw=False)

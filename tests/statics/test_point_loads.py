@@ -79,14 +79,6 @@ def test_at_the_tip_it_is_a_load_on_the_tip():
     np.testing.assert_allclose(one.base_moment, other.base_moment, rtol=1e-12)
 
 
-def test_a_point_mass_is_a_force():
-    weighed = cddf.Manipulator(**{**vars(pair()), "point_masses": [cddf.PointMass(mass=0.02, arc_length=PLACE)]})
-    by_mass = cddf.solve(weighed, TENSION, cddf.Loads(gravity=(0.0, -9.81)), direction=(1, 1))
-    load = cddf.PointLoad(PLACE, (0.0, -0.02 * 9.81))
-    by_force = cddf.solve(pair(), TENSION, cddf.Loads(points=[load]), direction=(1, 1))
-    np.testing.assert_allclose(by_mass.tip_position, by_force.tip_position, rtol=1e-12)
-
-
 @pytest.mark.slow
 def test_derivatives_by_place_force_and_moment():
     """Both modes against central differences."""

@@ -148,9 +148,6 @@ def test_at_can_be_differentiated(pair):
     np.testing.assert_allclose(slope[1], [np.cos(at.heading), np.sin(at.heading)], rtol=1e-5)
 
 
-# --- displacement --------------------------------------------------------------------------------
-
-
 # --- what hides between the nodes ----------------------------------------------------------------
 
 
@@ -214,5 +211,5 @@ def test_a_batch_is_refused_with_what_to_map():
     one = cddf.solve(body, 75.0)
     batch = stack([one, one])
     assert "use jax.vmap(lambda equilibrium: equilibrium.at(s))(equilibria)" in refused(batch.at, 0.07)
-    mapped = jax.vmap(lambda equilibrium: equilibrium.at(0.07))(batch)
+    mapped = jax.jit(jax.vmap(lambda equilibrium: equilibrium.at(0.07)))(batch)
     np.testing.assert_allclose(mapped.tension[1], one.at(0.07).tension, rtol=1e-14)  # as the remedy says
