@@ -132,6 +132,7 @@ def test_solve_refuses_what_has_a_history():
         assert "use trace" in refused(partial(cddf.solve, robot, 1.0))
 
 
+@pytest.mark.slow
 def test_slack_tendons_are_dragged_along():
     """Where the body takes up a slack tendon, its friction outside holds it with 0.1 N; elsewhere nothing does."""
     angles, ends = np.radians([-175.4, -55.2, 58.6, -143.9, -33.0, 91.7, -128.5]), [0.06] * 3 + [0.1225] * 3 + [None]

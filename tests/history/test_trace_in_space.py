@@ -25,6 +25,7 @@ def helix(turns, friction=MU, **others):
     return body(cddf.Linear(0.0, 2 * np.pi * turns, LENGTH), friction, **others)
 
 
+@pytest.mark.slow
 def test_a_parallel_tendon_is_that_of_the_plane_turned_about_the_axis():
     angle, path = 0.7, [*LOOP[:4], 200.0, 150.0]  # far above 113 N, where a tendon that is released would lock
     history, expected = cddf.trace(body(angle), path), cddf.trace(paper_body("exact"), path)

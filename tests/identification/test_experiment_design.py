@@ -178,7 +178,6 @@ def test_a_candidate_that_reads_nothing():
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_what_separates_modulus_and_compliance_of_a_driven_bench():
     """E C alone decides the shape, docs/how_to/displacement.md; newtons come by a cell at the tip or a weight there."""
     body = cddf.Manipulator(
@@ -204,6 +203,7 @@ def test_what_separates_modulus_and_compliance_of_a_driven_bench():
     assert marked["friction_coefficient"] < plain["friction_coefficient"]
 
 
+@pytest.mark.slow
 def test_poses_one_after_another_are_planned_as_they_are_fitted():
     """Three tendons in space; the expected errors are those of a fit to the same rows, simulated and without noise."""
     body = three_tendon_tube()
