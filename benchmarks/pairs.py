@@ -2,26 +2,23 @@
 
 The bodies are the paper's with two tendons that stretch, and friction from 0.3 to 0.5. All follow one random path of
 both tensions. `trace` follows them in one program, one after the other and as a batch. The independent method is that
-of `tests/history/make_stepped_reference.py`, NumPy and SciPy, in a loop. It follows the first body only, and a few
-steps. Both cut the body into 32 parts and each step into four. Times are for a step of one body, and for 1,000 bodies
-and 100 steps at this rate.
+of `stepped_reference.py`, NumPy and SciPy, in a loop. It follows the first body only, and a few steps. Both cut the
+body into 32 parts and each step into four. Times are for a step of one body, and for 1,000 bodies and 100 steps at this
+rate.
 """
 
 import sys
 import time
-from pathlib import Path
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import stepped_reference as plain
 from paper import paper_body
 
 import cddf_jax as cddf
 from cddf_jax.application import configure_jax
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "history"))
-import make_stepped_reference as plain  # pyright: ignore[reportMissingImports]
 
 PARTS, SHORT_STEPS, FEW = 32, 4, 5
 STRETCH = 1e4  # N, that of the independent method

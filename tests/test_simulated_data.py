@@ -4,8 +4,8 @@ import importlib.util
 
 import numpy as np
 import pytest
+from bodies import paper_plain
 from places import DATA
-from scipy.integrate import quad
 
 from cddf_jax.measurements.table import read_measurements
 from cddf_jax.measurements.table_warnings import warnings_of
@@ -13,22 +13,16 @@ from cddf_jax.measurements.table_warnings import warnings_of
 NAMES = ("load_cells_simulated.csv", "loop_simulated.csv", "pulley_simulated.csv", "tip_angle_simulated.csv")
 
 # data/README.md: the truth, and the noise that every file declares
-MU, E, D = 0.42, 1.4e6, 0.010
+MU, E = 0.42, 1.4e6
 CELL_FLOOR, CELL_FRACTION, GAIN, BASE_SD, ANGLE_SD, SCATTER = 0.1, 0.01, 1.001, 0.05, np.deg2rad(0.5), 0.01
 
 
-def compliance() -> float:
-    """G(L), the integral of d / J along the paper's cone; docs/theory.md (16) gives 2.942783188998e4 m^-2."""
-
-    def d_over_j(s):
-        return D / (np.pi / 4 * ((0.020 - 0.007 * s / 0.14) ** 4 - 0.007**4))
-
-    return quad(d_over_j, 0, 0.14, epsabs=0, epsrel=1e-12)[0]
+COMPLIANCE = paper_plain().compliance(0.14)  # G(L), the integral of d / J along the paper's cone
 
 
 def tip_tension(base_tension):
     """The closed form; it holds in both kinematics, the offset being constant."""
-    return base_tension / (1 + MU / E * base_tension * compliance())
+    return base_tension / (1 + MU / E * base_tension * COMPLIANCE)
 
 
 def standardised_tip_tension(table):
@@ -71,7 +65,7 @@ def test_every_file_says_what_it_is(name):
 
 
 def test_load_cells_are_true():
-    assert compliance() == pytest.approx(2.942783188998e4, rel=1e-12)  # docs/theory.md (16)
+    assert pytest.approx(2.942783188998e4, rel=1e-12) == COMPLIANCE  # docs/theory.md (16)
     assert_standard_normal(standardised_tip_tension(read_measurements(DATA / "load_cells_simulated.csv")))
 
 
@@ -81,7 +75,7 @@ def test_tip_angles_are_true():
     # constant offset, exact kinematics: tip angle = ln(T_base / T_tip) / mu, docs/identifiability.md
     base = table["base_tension"]
     truth = np.log(base / tip_tension(base)) / MU
-    slope = tip_tension(base) * compliance() / (E * base)  # dangle / dT_base
+    slope = tip_tension(base) * COMPLIANCE / (E * base)  # dangle / dT_base
     by_friction = (slope * base - truth) * SCATTER  # dangle / dln(mu)
     sd = np.sqrt(ANGLE_SD**2 + (slope * BASE_SD) ** 2 + by_friction**2)
     assert_standard_normal((table["tip_angle"] - truth) / sd)
@@ -91,7 +85,7 @@ def test_a_loop_is_true():
     """1/T at the tip is a play of 1/T_base, clipped at 1/T_base -+ g; closed forms of docs/hysteresis.md."""
     table = read_measurements(DATA / "loop_simulated.csv")
     up = np.arange(5.0, 86.0, 5.0)
-    levels, g, first = np.concatenate([up, up[-2::-1]]), MU / E * compliance(), 1 / 85.0
+    levels, g, first = np.concatenate([up, up[-2::-1]]), MU / E * COMPLIANCE, 1 / 85.0
     assert_standard_normal((table["base_tension"] - levels) / BASE_SD)
     y, out = 1 / levels, np.arange(33) > 16
     tip = 1 / np.where(out, np.maximum(first + g, y - g), y + g)

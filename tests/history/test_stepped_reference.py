@@ -1,15 +1,20 @@
 """`trace` of tendons that stretch and of a push, against a simulation that shares nothing with the library.
 
-`make_stepped_reference.py` beside this file is the simulation, and says how it is made and run.
+`benchmarks/stepped_reference.py` is the simulation, and says how it is made and run.
 """
+
+import runpy
 
 import equinox as eqx
 import numpy as np
 import pytest
 from bodies import PAPER, paper_body
-from make_stepped_reference import CASES, Case, simulate
+from places import ROOT
 
 import cddf_jax as cddf
+
+SIMULATION = runpy.run_path(str(ROOT / "benchmarks" / "stepped_reference.py"))
+CASES, Case, simulate = (SIMULATION[name] for name in ("CASES", "Case", "simulate"))
 
 # of the tip after each step: angle (deg), y (mm), tensions (N)
 STORED = {

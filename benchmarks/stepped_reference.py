@@ -1,4 +1,4 @@
-"""Makes the numbers to which `test_stepped_reference.py` compares `trace`; it shares nothing with the library.
+"""Makes the numbers to which `tests/history/test_stepped_reference.py` compares `trace`; no line is the library's.
 
 A simulation with NumPy and SciPy: short steps in time, friction that is regularised, no fronts. The body is cut into
 equal cells of one tension T of each tendon and one curvature kappa; at the edges between them are the heading phi, the
@@ -12,7 +12,7 @@ obey dw = eps / (1 - sigma) - eps / (1 + sigma), which tends to Coulomb's law wh
 solved by Newton's method as an interior point: dw = p - m with p (1 - sigma) = eps, m (1 + sigma) = eps and p, m > 0.
 
 Errors fall with the square of the cells and with the first power of the steps; both are extrapolated.
-Run it as `python tests/history/make_stepped_reference.py`; it takes some minutes and prints what the test stores.
+Run it as `python benchmarks/stepped_reference.py`; it takes some minutes and prints what the test stores.
 """
 
 from typing import NamedTuple
