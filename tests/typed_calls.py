@@ -56,7 +56,6 @@ def statics():
     cddf.iteration_history(robot, 20.0, nodes=8)
     cddf.closed_form_tension(robot, 20.0, 0.14)
     cddf.pulling_tension(10.0, 1.0, 0.42)
-    cddf.tip_compliance(robot, 20.0, nodes=8)
     cddf.tip_jacobian(robot, 20.0, nodes=8)
     cddf.self_contact(eq)
     winding = dataclasses.replace(robot, tendons=(cddf.Tendon(0.010, angle=cddf.Linear(0.0, 3.0, 0.14)),))
@@ -67,6 +66,7 @@ def statics():
     with cddf.show_progress():
         cddf.trace(robot, np.array([15.0]), start=history, nodes=8, max_turns=4)
     cddf.trace(pair, [[20.0, 5.0], [10.0, 5.0]], cddf.Loads(tip_force=(0.0, -0.1)), nodes=4, short_steps=2)
+    cddf.tip_compliance(history, push=(0.0, -0.1), short_steps=2)
     print(history.work, history.friction_loss, history.stored_energy, history.equilibria.tension, file=sys.stderr)
     cddf.as_frame(history)
     print(history.at(np.array([0.0, 0.07])).tension, history.sliding(0.07), file=sys.stderr)

@@ -200,9 +200,8 @@ def _in_increments(
 def _after(start: History, history: History) -> History:
     """The history that continues another one; where the last step of that one failed, all steps failed as it did."""
     good = jnp.isfinite(start.tip_angle[-1])
-    numbers = nan_unless(good, replace(history, status=None, _states=None))
     status = jnp.where(good, history.status, start.status[-1])
-    return replace(numbers, status=status, _states=history._states)
+    return replace(nan_unless(good, history), status=status, _states=history._states)
 
 
 def _check_same_points(loads: Loads | None, before: Loads) -> None:
