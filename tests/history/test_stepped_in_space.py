@@ -98,16 +98,6 @@ def test_the_tables_are_met(three, body, table, atol):
             assert apart < found.error_estimate[step] + 1e-3  # the table's own error
 
 
-@pytest.mark.slow
-def test_one_tendon_is_as_the_exact_trace():
-    """A helix without loads, and with loads that are zero."""
-    body, path = robot((cddf.Linear(0.0, PI, LENGTH),)), [75.0, 60.0, 40.0, 20.0, 50.0]
-    exact, found = cddf.trace(body, path), cddf.trace(body, path, cddf.Loads())
-    np.testing.assert_allclose(found.tip_tension, exact.tip_tension, atol=0.05)
-    np.testing.assert_allclose(found.tip_position, exact.tip_position, atol=2e-4 * LENGTH)
-    np.testing.assert_allclose(found.tip_frame, exact.tip_frame, atol=1e-3)
-
-
 FEW = {"nodes": 8, "short_steps": 8, "throw": False}
 RELEASED = np.array([[75.0, 20.0], [60.0, 20.0], [40.0, 20.0]])
 

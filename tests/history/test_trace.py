@@ -330,8 +330,7 @@ def test_the_front_has_its_derivatives():
 
     def front(numbers):
         mu, modulus, high, low = numbers
-        changes = {"tendon_offset": (0.010, 0.007), "drag": 2.0, "youngs_modulus": 1.4e6 * modulus}
-        body = paper_body("exact", friction_coefficient=mu, **changes)
+        body = paper_body("exact", friction_coefficient=mu, drag=2.0, youngs_modulus=1.4e6 * modulus)
         return cddf.trace(body, jnp.stack([75.0 * high, 40.0 * low, 55.0])).front
 
     derivatives, at = both_modes(front), np.array([0.42, 1.0, 1.0, 1.0])

@@ -174,6 +174,17 @@ def test_loops_against_coulombs_law_at_discs():
     assert np.max(history.error_estimate) < 1e-6
 
 
+@pytest.mark.slow
+def test_increments_find_the_same():
+    """With loads that are zero."""
+    path = [75.0, 60.0, 40.0, 20.0, 50.0]
+    exact = cddf.trace(helix(0.5), [*path, 30.0, 60.0, 10.0])  # eight steps, as above
+    found = cddf.trace(helix(0.5), path, cddf.Loads())
+    np.testing.assert_allclose(found.tip_tension, exact.tip_tension[:5], atol=0.05)
+    np.testing.assert_allclose(found.tip_position, exact.tip_position[:5], atol=2e-4 * LENGTH)
+    np.testing.assert_allclose(found.tip_frame, exact.tip_frame[:5], atol=1e-3)
+
+
 # --- laws --------------------------------------------------------------------------------------------
 
 
