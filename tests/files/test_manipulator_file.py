@@ -67,12 +67,13 @@ def test_optional_keys(tmp_path):
     assert (plain.axial_stiffness, plain.free_length) == (None, 0.0)
 
 
-def test_friction_besides_that_of_tendons_on_the_body(tmp_path):
-    text = TEXT.replace("[[tendons]]", 'friction_moment = "2 mN m"\n[[tendons]]')
-    own = 'outside_compliance = "0.02 mm/N"\noutside_friction = 0.3\noutside_drag = "0.5 N"\n'
+def test_friction_besides_that_of_curvature(tmp_path):
+    text = TEXT.replace("[[tendons]]", 'friction_moment = "2 mN m"\ndrag = "0.8 N/m"\n[[tendons]]')
+    own = 'outside_compliance = "0.02 mm/N"\noutside_friction = 0.3\noutside_drag = "0.5 N"\ndrag = "0.3 N/mm"\n'
     body = read(tmp_path, text + own)
     (tendon,) = body.tendons
     assert (body.friction_moment, tendon.outside_friction, tendon.outside_drag) == (2e-3, 0.3, 0.5)
+    assert (body.drag, tendon.drag) == (0.8, 300.0)
     write_manipulator(body, tmp_path / "again.toml")
     assert_identical(read_manipulator(tmp_path / "again.toml"), body)
     with pytest.raises(InputError, match="outside_drag must be 0 or more"):

@@ -13,7 +13,6 @@ from scipy.optimize import brentq
 
 import cddf_jax as cddf
 from cddf_jax.errors import InputError
-from cddf_jax.files.manipulator_file import read_manipulator, write_manipulator
 
 LENGTH, d, E, MU = (PAPER[name] for name in ("length", "tendon_offset", "youngs_modulus", "friction_coefficient"))
 W = 100.0  # N/m: 14 N over the length
@@ -361,7 +360,7 @@ def test_energy_of_drag_alone():
     np.testing.assert_allclose(pull.friction_loss, [work - elastic], rtol=1e-11)
 
 
-# --- refusals and files --------------------------------------------------------------------------
+# --- refusals ------------------------------------------------------------------------------------
 
 
 def test_methods_without_drag_refuse_it():
@@ -377,20 +376,3 @@ def test_a_drag_must_not_push():
     body = replace(EXACT, tendons=(cddf.Tendon(d, drag=-2.0),))
     with pytest.raises(InputError, match=r"^tendon 1: drag must be 0 or more, got -2 N/m; correct its value$"):
         body.validate()
-
-
-def test_in_a_file(tmp_path):
-    path = tmp_path / "body.toml"
-    body = replace(EXACT, tendons=(cddf.Tendon(d), cddf.Tendon(d, -1, drag=0.3)), drag=0.1 + 0.7)
-    write_manipulator(body, path)
-    assert 'drag = "0.3 N/m"' in path.read_text()
-    again = read_manipulator(path)
-    assert (again.drag, again.tendons[0].drag, again.tendons[1].drag) == (0.1 + 0.7, None, 0.3)
-    path.write_text(path.read_text().replace('drag = "0.3 N/m"', 'drag = "0.3 N/mm"'))
-    assert read_manipulator(path).tendons[1].drag == 300.0
-    path.write_text(path.read_text().replace('drag = "0.3 N/mm"', 'drag = "0.3 N"'))
-    with pytest.raises(InputError, match=r"tendon 2: drag needs a unit of force per length, got '0\.3 N'; write"):
-        read_manipulator(path)
-    write_manipulator(paper_body(), path)
-    assert "drag" not in path.read_text()
-    assert read_manipulator(path).drag is None

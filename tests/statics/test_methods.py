@@ -12,18 +12,6 @@ import cddf_jax as cddf
 
 PARALLEL = paper_body("exact")
 DRAGGED = replace(PARALLEL, drag=10.0)
-CONVERGING = cddf.Tendon(cddf.Linear(0.012, 0.009, 0.14))
-ONE_PASS = {  # whether the turning of the tendon is the same from every guess of its tension
-    "published, slanted": (paper_with(CONVERGING, kinematics="published"), True),
-    "exact": (PARALLEL, True),
-    "exact, slanted": (paper_with(CONVERGING), False),
-}
-
-
-@pytest.mark.parametrize("case", ONE_PASS)
-def test_one_pass_is_enough_where_its_result_does_not_depend_on_the_guess(case):
-    body, enough = ONE_PASS[case]
-    assert (cddf.solve(body, 75.0).num_iterations == 1) == enough
 
 
 def tension_of(friction, modulus, direction):

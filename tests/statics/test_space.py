@@ -247,8 +247,6 @@ def test_what_is_not_possible_in_space_is_refused():
         paper_with(at_angle(0.0), kinematics="published")
     with pytest.raises(ValueError, match="needs torsional_stiffness"):
         cddf.Manipulator(length=0.1, tendons=(at_angle(0.0),), bending_stiffness=1e-3, friction_coefficient=0.1)
-    with pytest.raises(ValueError, match="three components"):
-        paper_with(at_angle(0.0), rest_curvature=(1.0, 2.0))
     with pytest.raises(ValueError, match="is the angle pi"):
         cddf.Tendon(0.01, side=-1, angle=0.0)
 
