@@ -238,16 +238,16 @@ def test_rows_under_loads_in_space():
     """Each as `solve` has it, and a row that has no solution changes no other."""
     tendon = cddf.Tendon(0.010, angle=0.0)
     body = dataclasses.replace(in_plane(density=1070.0), tendons=(tendon,))
-    gravity, pulls = np.array([0.0, 0.0, -9.81]), np.array([10.0, 5000.0, 40.0])
-    table = cddf.Measurements.from_columns(
-        "rows", base_tension=pulls, direction=[1, 1, 1], tip_force_z=[0.2, 0.1, 0.0], tip_z=np.zeros(3)
-    )
+    gravity, pulls, weights = np.array([0.0, 0.0, -9.81]), np.array([10.0, 5000.0, 40.0]), [0.1, 0.0, -0.2]
+    columns = {"direction": [1, 1, 1], "tip_force_z": [0.2, 0.1, 0.0], "force_y@80mm": weights, "tip_z": np.zeros(3)}
+    table = cddf.Measurements.from_columns("rows", base_tension=pulls, **columns)
     bench = experiment_of(table, body, setting=cddf.BenchSetting(cddf.Loads(gravity=gravity)))
     shown = bench.evaluate(body, {"friction_coefficient": 0.42}, 12)
     good = shown.status == cddf.Status.successful
     assert good.tolist() == [True, False, True]
     for row in np.flatnonzero(good):
-        loads = cddf.Loads(tip_force=(0.0, 0.0, table["tip_force_z"][row]), gravity=gravity)
+        points = [cddf.PointLoad(0.08, (0.0, weights[row], 0.0))]
+        loads = cddf.Loads(tip_force=(0.0, 0.0, table["tip_force_z"][row]), gravity=gravity, points=points)
         found = cddf.solve(body, pulls[row], loads, direction=1, nodes=12)
         for i, axis in enumerate("xyz"):
             np.testing.assert_allclose(shown.readings[f"tip_{axis}"][row], found.tip_position[i], atol=1e-12)

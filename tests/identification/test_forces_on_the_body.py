@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from bodies import paper_body, three_tendon_tube
+from bodies import paper_body
 from refusals import refused
 
 import cddf_jax as cddf
@@ -110,24 +110,3 @@ def test_a_fit_with_weights_on_the_body():
     assert refused(fitted.predict, "tip_angle", [50.0], force_at={0.2: (0.0, -1.0)}) == (
         "predict: force @0.2m: it must act above 0 and up to the tip at 140 mm, not at 200 mm; correct the place"
     )
-
-
-@pytest.mark.slow
-def test_rows_with_weights_on_the_body_in_space():
-    """As `solve` has them with point loads across the tendons."""
-    body, places = three_tendon_tube(), (0.08, 0.14)
-    pulls = np.array([[12.0, 2.0, 2.0], [12.0, 2.0, 2.0], [3.0, 10.0, 3.0], [2.0, 2.0, 11.0]])
-    forces = np.array([[(0.05, 0.0, 0.1), (0.0, 0.0, 0.0)], [(0.0, 0.0, -0.1), (0.0, 0.05, 0.0)]] * 2)
-    found = [
-        cddf.solve(body, pull, cddf.Loads(points=[cddf.PointLoad(*each) for each in zip(places, own, strict=True)]))
-        for pull, own in zip(pulls, forces, strict=True)
-    ]
-    columns = {f"base_tension{end}": pulls[:, i] for i, end in enumerate(("", "_2", "_3"))}
-    for i, axis in enumerate("xyz"):
-        columns |= {f"force_{axis}@{1e3 * s:g}mm": forces[:, place, i] for place, s in enumerate(places)}
-        columns[f"tip_{axis}"] = [float(one.tip_position[i]) for one in found]
-    columns["tip_tension"] = [float(one.tip_tension[0]) for one in found]
-    shown = rows_of(body, cddf.Measurements.from_columns("bench", **columns))
-    assert len(shown) == 4
-    for name, values in shown.items():
-        np.testing.assert_allclose(values, columns[name], rtol=1e-9, atol=1e-9, err_msg=name)
