@@ -113,19 +113,15 @@ def test_an_undeclared_roughness_is_detected(profile):
         cddf.solve(body_with(profile), 40.0)
 
 
-@pytest.mark.parametrize("profile", [kinked, stepped], ids=lambda f: f.__name__)
-def test_declared_breaks_restore_the_accuracy(profile):
-    if profile is kinked:
-        heights = np.array(kinked(np.array([0.0, KINK, 0.14])))
-        declared = cddf.Piecewise.linear([0.0, KINK, 0.14], heights)
-    else:
-        declared = cddf.Piecewise([STEP], [cddf.Constant(0.019), cddf.Constant(0.014)])
-    plain = paper_plain("exact", outer_radius=lambda s: float(profile(s)), breaks=(KINK,))
+def test_declared_breaks_restore_the_accuracy():
+    heights = np.array(kinked(np.array([0.0, KINK, 0.14])))
+    declared = cddf.Piecewise.linear([0.0, KINK, 0.14], heights)
+    plain = paper_plain("exact", outer_radius=lambda s: float(kinked(s)), breaks=(KINK,))
     expected = 40.0 / (1 + 0.42 / 1.4e6 * 40.0 * split_compliance(plain, KINK))
     solution = cddf.solve(body_with(declared), 40.0)
     assert solution.status == cddf.Status.successful
     np.testing.assert_allclose(solution.tip_tension, [expected], rtol=1e-8)
-    rough = cddf.solve(body_with(profile), 40.0, throw=False)
+    rough = cddf.solve(body_with(kinked), 40.0, throw=False)
     assert abs(rough.tip_tension[0] / expected - 1) > 1e-6  # not idle: without the break it is wrong
 
 

@@ -1,6 +1,5 @@
-"""Properties that hold for all numbers: mirror images, units, and the limit without friction."""
+"""The limits without friction and without tension."""
 
-import jax
 import numpy as np
 import pytest
 from bodies import paper_body, paper_plain
@@ -23,16 +22,6 @@ def test_without_friction_the_tension_is_that_at_the_base(kinematics):
 
     np.testing.assert_allclose(solution.curvature, curvature(np.asarray(solution.arc_length)), rtol=ROUNDING)
     np.testing.assert_allclose(solution.tip_angle, quad(curvature, 0, 0.14, epsrel=1e-13)[0], atol=1e-9)
-
-
-@pytest.mark.parametrize("sliding", [+1, -1])
-def test_loss_at_a_given_angle_does_not_depend_on_the_body(sliding):
-    """Constant d, exact kinematics: loss = 1 - exp(-mu tip_angle), docs/identifiability.md."""
-    solve = jax.jit(lambda body: cddf.solve(body, 30.0, direction=sliding, throw=False))
-    for tip_radius in (0.013, 0.016, 0.020):
-        solution = solve(paper_body("exact", outer_radius=(0.020, tip_radius)))
-        expected = -np.expm1(-sliding * 0.42 * solution.tip_angle)
-        np.testing.assert_allclose(solution.tension_loss, [expected], rtol=1e-9)
 
 
 def test_no_tension_no_bending():
