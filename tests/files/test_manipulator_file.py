@@ -271,29 +271,6 @@ def test_round_trip_to_the_last_bit(tmp_path, shape):
     assert_same_when_read_again(body, tmp_path / "round_trip.toml")
 
 
-LINK = """
-length = "360 mm"
-outer_radius = { lines = [["0 mm", "15.41 mm"], ["305 mm", "6.42 mm"], ["360 mm", "4.8 mm"]] }
-inner_radius = "0 mm"
-youngs_modulus = "315 kPa"
-friction_coefficient = 0.1
-density = "1318 kg/m^3"
-[[tendons]]
-offset = { base = "11.4 mm", tip = "2.4025 mm", length = "305 mm" }
-end = "305 mm"
-axial_stiffness = "12 kN"
-free_length = "200 mm"
-"""  # fitting/soft_tentacle.toml: radius 15.41 to 6.42 mm over 305 mm, then a link to 4.80 mm without tendons
-
-
-def test_a_passive_tip_link(tmp_path):
-    body = read(tmp_path, LINK)
-    np.testing.assert_allclose(body.outer_radius(np.array([0.0, 0.305, 0.36])), [0.01541, 0.00642, 0.0048], rtol=1e-14)
-    np.testing.assert_allclose(body.offset(np.array([0.305])), [[0.0114 - 0.0295 * 0.305]], rtol=1e-14)
-    assert [bool(body.cross_section(s).present[0]) for s in (0.1, 0.305, 0.306)] == [True, True, False]
-    assert_same_when_read_again(body, tmp_path / "again.toml")
-
-
 def test_what_is_written_is_for_people(tmp_path):
     write_manipulator(read_manipulator(PAPER), tmp_path / "body.toml")
     lines = (tmp_path / "body.toml").read_text().splitlines()
