@@ -253,7 +253,7 @@ def lane_of(density, loads):
 
 
 GOOD_LANES = [(1070.0, OPPOSING), (500.0, PlainLoads((0.0, 2.0)))]
-# 60 N against a force of 30 N at 213.5 degrees: the path of equilibria ends at 91 % of it, see test_load_path.py
+# 60 N against a force of 30 N at 213.5 degrees: the path of equilibria ends at 91 % of it, see test_continuation.py
 FOLDING = PlainLoads((-13.42, -8.88))
 BAD_LANES = {
     "NaN force": (1070.0, PlainLoads((np.nan, 1.0)), cddf.Status.unphysical),
