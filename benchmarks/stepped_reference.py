@@ -131,9 +131,7 @@ class Body:
                 return x
             if part > 0.5:
                 eps = max(eps / 10, EPS)
-        raise RuntimeError(
-            f"no convergence at {tension}, {force}: {part}, {eps}, {np.max(np.abs(change[:, self.phi]))}"
-        )
+        raise RuntimeError(f"no convergence at {tension}, {force}: regularised by {eps}")
 
     def tip(self, x):
         """Angle, rad; y, m; tensions, N."""
