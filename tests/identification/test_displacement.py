@@ -121,6 +121,16 @@ def test_stretch_of_the_tendon_shows_in_units_of_the_bending(other):
 
 
 @pytest.mark.slow
+def test_without_compliance_tip_angles_tell_neither_friction_nor_modulus():
+    """The angle is the displacement over d, whatever friction and modulus are."""
+    angle = LOOP / D
+    table = Measurements.from_columns("simulated", displacement=LOOP, tip_angle=angle, step=np.arange(LOOP.size))
+    found = cddf.fit(guess(0.0), table, BOTH, noise=KNOWN)
+    assert set(found.status.values()) == {"not identified"}
+    np.testing.assert_allclose(found.residuals["simulated: tip_angle"], 0.0, atol=1e-9)
+
+
+@pytest.mark.slow
 def test_a_pair_brings_the_truth_back():
     there = 1e-3 * np.array([0, 4, 8, 10, 6, 2, 0, -4, -8, -6, -3, 0, 3, 6, 9])
     tension, seen = 0.4e-3, 2e-4  # both tendons are pulled taut by 0.4 mm; 0.2 mm of noise of the camera
