@@ -124,11 +124,11 @@ def test_the_unit_that_is_said_wins_over_that_of_the_file(tmp_path):
 
 
 def test_two_headers_are_refused(tmp_path):
-    for below in (PLAIN, PLAIN.replace("\n", ",1\n").replace(",1", ",tip_angle [deg]", 1)):  # also one that knows more
-        said = refused(read, tmp_path, PLAIN + below)
-        assert "row 5 is a second header, below numbers under that of row 1; remove one of them, or save each" in said
+    """The first is the header, and the second no row of numbers; also one that knows more."""
+    for below in (PLAIN, PLAIN.replace("\n", ",1\n").replace(",1", ",tip_angle [deg]", 1)):
+        assert ": row 5" in refused(read, tmp_path, PLAIN + below)
     few = "trial,direction,base_tension [N]\na,in,5\n"  # few numbers in a row
-    assert "row 3 is a second header" in refused(read, tmp_path, few + few)
+    assert "row 3, column direction: 'direction' is not a number" in refused(read, tmp_path, few + few)
 
 
 def test_all_columns_without_a_unit_are_named(tmp_path):

@@ -121,47 +121,27 @@ def _find_header(
 def _known_header(rows: Sequence[Row], recognised: Recognised) -> tuple[int, int]:
     """The largest number of known columns in a row, and the index of this row; of equal rows the last above numbers."""
     most, at, numbers_below = 0, 0, False
-    for i, (row, cells) in enumerate(rows):
+    for i, (_, cells) in enumerate(rows):
         numbers, words = _numbers_and_words(cells)
         known = recognised(cells) if words else 0
-        if numbers_below and known >= most >= _ENOUGH:
-            remedy = "remove one of them, or save each table in a file of its own"
-            raise InputError(f"row {row} is a second header, below numbers under that of row {rows[at][0]}; {remedy}")
+        if numbers_below and most >= _ENOUGH:  # the table has begun
+            break
         if known > most or (known == most and known and not numbers_below):
             most, at, numbers_below = known, i, False
         numbers_below = numbers_below or (known < most and numbers > 0)
     return most, at
 
 
-def _above_numbers(rows: Sequence[Row]) -> tuple[float, int]:
-    """How many numbers the largest block of numbers holds, and the index of the header above it, or of its first row.
+def _above_numbers(rows: Sequence[Row]) -> tuple[int, int]:
+    """How many numbers stand below the last row of words, and the index of the header there.
 
-    The header is the fullest of the rows with words directly above, the uppermost of equal ones: units stand below it.
+    The header is the fullest of the last three rows above the numbers, the uppermost of equal ones: units stand below
+    it.
     """
-    if not rows:
-        return 0, 0
-    most, first, held, start = 0.0, 0, 0.0, 0
-    for i, (_, cells) in enumerate(rows):
-        numbers, words = _numbers_and_words(cells)
-        held, start = (held + numbers - words / 2, start) if numbers > words / 2 else (0.0, i + 1)
-        most, first = max((most, first), (held, start), key=lambda block: block[0])
-    filled = [sum(map(bool, cells)) for _, cells in rows]
-    if not most:  # no numbers at all
-        return 0, filled.index(max(filled))
-    above = []
-    while (
-        (i := first - len(above) - 1) >= 0
-        and filled[i] >= max(min(2, filled[first]), filled[first] / 2)
-        and (not above or rows[i][0] == rows[i + 1][0] - 1 or _repeats(rows[i + 1][1]))
-    ):
-        above.append(i)
-    return most, max(reversed(above), key=lambda i: filled[i], default=first)
-
-
-def _repeats(cells: Sequence[str]) -> bool:
-    """Whether two cells are the same, as units are, and as the heads of columns are not."""
-    filled = [cell for cell in cells if cell]
-    return len(set(filled)) < len(filled)
+    counted = [_numbers_and_words(cells) for _, cells in rows]
+    first = 1 + max((i for i, (numbers, words) in enumerate(counted) if numbers <= words / 2), default=-1)
+    header = max(range(max(first - 3, 0), first), key=lambda i: sum(counted[i]), default=0)
+    return sum(numbers for numbers, _ in counted[first:]), header
 
 
 def _numbers_and_words(cells: Sequence[str]) -> tuple[int, int]:
