@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from cddf_jax.progress import SHOWN, Bar, Log, Stages, each, stage
+from cddf_jax.progress import SHOWN, Log, Stages, each, stage
 
 
 class Clock:
@@ -91,33 +91,6 @@ def test_lines_come_ever_more_rarely(shown, lines):
         for now.done in range(3601):
             at(shown, float(now.done))
     assert 28 <= len(lines) <= 32
-
-
-def test_a_bar_on_a_terminal(capfd, clock, monkeypatch):
-    """It comes after 2 s, says the same, goes with the last stage, and leaves standard output alone."""
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    monkeypatch.setenv("COLUMNS", "120")
-    shown = Stages(Bar(), clock)
-    before = SHOWN.set(shown)
-    with stage("solving", 10) as now:
-        at(shown, 1.0)
-        assert capfd.readouterr() == ("", "")
-        now.done = 3
-        at(shown, 3.0)
-        out, err = capfd.readouterr()
-        assert out == ""
-        assert "3 s: solving 4 of 10, 0:00:07 left" in err
-        with stage("compiling"):
-            at(shown, 4.0)
-            assert "compiling" in capfd.readouterr().err
-        with stage("word " * 60):
-            at(shown, 5.0)
-            assert capfd.readouterr().err.count("word") == 60  # what is too long goes on in the next line
-    SHOWN.reset(before)
-    assert shown.screen.bar is None
-    out, err = capfd.readouterr()
-    assert out == ""
-    assert "\x1b[2K" in err  # ANSI: the line of the bar is erased
 
 
 def test_progress_goes_to_standard_error():
