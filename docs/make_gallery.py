@@ -140,7 +140,7 @@ PICTURES = (
     Picture(
         "design",
         "A design",
-        "The body before and after, straight and bent, to one scale: least volume within limits of strain and angle.",
+        "The bent body before and after, to scale: least volume within limits of strain and angle.",
         "figures.draw_design(design)",
     ),
     Picture(

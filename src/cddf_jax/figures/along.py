@@ -34,7 +34,7 @@ def draw_along(
             "bending" (1/m), the size of the curvature without twist; "twist" (1/m), zero in the plane;
             "normal_force" or "friction_force", the size of the force of a tendon on the body per length (N/m);
             "strain", the greatest of a cross-section that bends (%); "heading" (deg), in space the angle between the
-            axes of cross-section and base; "offset" (mm) or "angle" (deg) of the tendons.
+            axes of cross-section and base; "outer_radius" (mm); "offset" (mm) or "angle" (deg) of the tendons.
         axes: where to draw; None for a new figure, one column wide.
         style: of the lines, as `Axes.plot` takes it: color, label, ...
 

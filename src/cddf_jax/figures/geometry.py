@@ -209,6 +209,7 @@ ALONG: dict[str, Callable[[Manipulator, AnyFields], ArrayLike]] = {
     "friction_force": lambda _, along: _size(along.friction_force),
     "strain": lambda body, along: 100 * np.abs(body.outer_strain(along.arc_length, along.bend())),
     "heading": lambda _, along: np.degrees(along.tilt()),
+    "outer_radius": lambda body, along: 1e3 * np.asarray(body.radii(along.arc_length)[0]),
     "offset": lambda body, along: 1e3 * np.asarray(body.offset(along.arc_length)),
     "angle": lambda body, along: np.degrees(_angles(body, along.arc_length)),
 }
