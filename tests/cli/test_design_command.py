@@ -212,7 +212,7 @@ def test_a_body_without_radii_is_designed_and_drawn(task, tmp_path):
     figure = report.files()["design"]
     assert isinstance(figure, Figure)
     axes = figure.axes[0]
-    assert [text.get_text() for text in axes.texts if text.get_text()] == ["after", "before"]
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["after", "before"]
 
 
 @pytest.mark.parametrize("name", ["uniform_curvature", "least_tension", "robust", "routing"])
