@@ -1,10 +1,10 @@
-"""A fit, 1,000 bootstrap refits and a profile beside SciPy and lmfit: `python benchmarks/fits.py`.
+"""A fit and a profile beside SciPy and lmfit: `python benchmarks/fits.py`.
 
 Friction and modulus from the tip tensions and tip angles of data/tip_angle_simulated.csv, exact kinematics, with
 known noise. SciPy and lmfit fit what a user would write: the paper's iteration in NumPy over 200 points, row by row.
-Their bootstrap is timed over 10 refits, and the time is scaled to 1,000. lmfit is used if it is installed (`pip
-install lmfit`). The distance is that of the estimates from a SciPy fit of the closed form at tolerance 1e-15, in
-standard errors. All times are medians of one run after compilation; the first call is reported separately.
+lmfit is used if it is installed (`pip install lmfit`). The distance is that of the estimates from a SciPy fit of the
+closed form at tolerance 1e-15, in standard errors. All times are medians of one run after compilation; the first call
+is reported separately.
 """
 
 import time
@@ -27,7 +27,6 @@ START = np.array([0.42, 1.4e6])
 S = np.linspace(0.0, 0.140, 200)
 OFFSET = 0.010
 SECOND_MOMENT = np.pi / 4 * ((0.020 - 0.007 * S / 0.140) ** 4 - 0.007**4)
-REFITS, TIMED_REFITS = 1000, 10
 COMPLIANCE = 2.942783188998e4  # G(L), 1/m^2
 
 
@@ -73,14 +72,10 @@ def once(call: Callable[[], Any]) -> tuple[float, Any]:
 
 def ours(robot: cddf.Manipulator, table: cddf.Measurements) -> tuple[dict[str, float], np.ndarray]:
     first, fit = once(lambda: cddf.fit(robot, table, noise=NOISE))
-    compiled, _ = once(lambda: fit.bootstrap(replicates=REFITS))
-    warm, _ = once(lambda: fit.bootstrap(replicates=REFITS))
     profile_first, _ = once(lambda: fit.profile("youngs_modulus"))
     times = {
         "first fit": first,
         "fit": median_time(lambda: cddf.fit(robot, table, noise=NOISE).covariance, least=2.0),
-        "first bootstrap": compiled,
-        "bootstrap": warm,
         "first profile": profile_first,
         "profile": median_time(lambda: fit.profile("youngs_modulus").rise, least=1.0),
     }
@@ -91,15 +86,6 @@ def with_scipy(table: cddf.Measurements) -> tuple[dict[str, float], np.ndarray]:
     tip, angle = table["tip_tension"], table["tip_angle"]
     residual = residual_of(table, tip, angle, by_rows)
     time_of_fit, found = once(lambda: least_squares(residual, [1.0, 1.0], x_scale="jac"))
-    rng = np.random.default_rng(0)
-    mu, modulus = found.x * START
-    predicted = by_rows(mu, modulus, table["base_tension"])
-
-    def refits():
-        for _ in range(TIMED_REFITS):
-            tip = predicted[0] + NOISE["tip_tension"] * rng.normal(size=len(table))
-            angle = predicted[1] + NOISE["tip_angle"] * rng.normal(size=len(table))
-            least_squares(residual_of(table, tip, angle, by_rows), found.x, x_scale="jac")
 
     def rise(modulus):
         held = least_squares(lambda x: residual([x[0], modulus]), [found.x[0]])
@@ -113,8 +99,7 @@ def with_scipy(table: cddf.Measurements) -> tuple[dict[str, float], np.ndarray]:
             brentq(rise, found.x[1] + sign * 1.2 * error, found.x[1] + sign * 4 * error, xtol=1e-6) for sign in (-1, 1)
         ]
 
-    times = {"fit": time_of_fit, "bootstrap": once(refits)[0] * REFITS / TIMED_REFITS, "profile": once(profile)[0]}
-    return times, found.x * START
+    return {"fit": time_of_fit, "profile": once(profile)[0]}, found.x * START
 
 
 def with_lmfit(table: cddf.Measurements) -> tuple[dict[str, float], np.ndarray] | None:
@@ -134,18 +119,8 @@ def with_lmfit(table: cddf.Measurements) -> tuple[dict[str, float], np.ndarray] 
     residual = residual_of(table, tip, angle, by_rows)
     time_of_fit, (minimizer, found) = once(lambda: minimise(residual, [1.0, 1.0]))
     x = np.array([found.params["mu"].value, found.params["modulus"].value])
-    rng = np.random.default_rng(0)
-
-    def refits():
-        for _ in range(TIMED_REFITS):
-            drawn = (
-                tip + NOISE["tip_tension"] * rng.normal(size=tip.size),
-                angle + NOISE["tip_angle"] * rng.normal(size=tip.size),
-            )
-            minimise(residual_of(table, *drawn, by_rows), x)
-
     profile, _ = once(lambda: lmfit.conf_interval(minimizer, found, p_names=["modulus"], sigmas=[0.95]))
-    return {"fit": time_of_fit, "bootstrap": once(refits)[0] * REFITS / TIMED_REFITS, "profile": profile}, x * START
+    return {"fit": time_of_fit, "profile": profile}, x * START
 
 
 def main() -> None:
@@ -172,13 +147,13 @@ def main() -> None:
     lines = [
         f"{len(table)} rows; seconds, and in brackets times the time of cddf_jax",
         "",
-        "| | distance from exact, standard errors | fit | 1,000 refits | profile of E |",
-        "| --- | --- | --- | --- | --- |",
+        "| | distance from exact, standard errors | fit | profile of E |",
+        "| --- | --- | --- | --- |",
     ]
     for name, row in results.items():
-        cells = [f"{row[what]:.3g} ({row[what] / base[what]:.3g} x)" for what in ("fit", "bootstrap", "profile")]
+        cells = [f"{row[what]:.3g} ({row[what] / base[what]:.3g} x)" for what in ("fit", "profile")]
         lines.append(f"| {name} | {row['distance']:.1e} | " + " | ".join(cells) + " |")
-    first = ", ".join(f"{what} {base[f'first {what}']:.3g} s" for what in ("fit", "bootstrap", "profile"))
+    first = ", ".join(f"{what} {base[f'first {what}']:.3g} s" for what in ("fit", "profile"))
     lines += ["", f"The first calls of cddf_jax, with compilation: {first}."]
     text = "\n".join(lines) + "\n"
     report("fits", text, results)

@@ -24,7 +24,7 @@ PARTS = {
     "space_loads": "Batches in space under a tip force",
     "traces": "Pull and release of one tendon",
     "sweeps": "Sweeps: size, devices, processes, precision, memory",
-    "fits": "Fit, bootstrap and profile",
+    "fits": "Fit and profile",
     "seventeen_levels": "Fit of 17 levels with tip positions",
     "designs": "A design",
     "cold_start": "Cold start",

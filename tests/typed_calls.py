@@ -97,18 +97,15 @@ def identification():
     seen = cddf.Measurements.from_columns("head", base_tension=[20.0], **{"y@head": [0.005]})
     cddf.fit(robot, [pulley, seen], setting=head, nodes=8, noise={"y@head": 1e-3})
     fit.profile("friction_coefficient")
-    fit.bootstrap("parametric", 8)
     fit.predict("tip_tension", [20.0, 40.0])
     cddf.write_fit(fit, OUT / "fit")
     cddf.compare({"one": fit, "two": cddf.fit(robot, [pulley, tensions], nodes=8, noise={"tip_tension": cddf.Noise()})})
-    cddf.cross_validation(fit)
     cddf.plan(fit, cddf.standard_candidates(robot, 85.0)[:2], num=1)
     cddf.model_free_friction(cddf.read_measurements(DATA / "tip_angle_simulated.csv"))
     up_and_down = [10.0, 40.0, 80.0, 20.0, 10.0]
     loop = cddf.Measurements.from_columns(
         base_tension=up_and_down, tip_tension=cddf.trace(robot, up_and_down).tip_tension
     )
-    cddf.model_free_loop(loop)
     loops = cddf.fit(robot, loop, history=True, before=["rest"], nodes=8)
     loops.predict("tip_tension", up_and_down, history=True, before=15.0)
     cddf.average_holds(tensions)

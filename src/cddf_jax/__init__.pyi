@@ -7,7 +7,6 @@ from .designing.objectives import Even as Even, Least as Least, Limit as Limit, 
 from .designing.pareto import ParetoFront as ParetoFront, pareto_front as pareto_front
 from .designing.results import Design as Design
 from .errors import InputError as InputError, SolveError as SolveError
-from .estimation.bootstrap import Bootstrap as Bootstrap
 from .estimation.determination import Determination as Determination
 from .estimation.least_squares import LeastSquaresFit as LeastSquaresFit, least_squares_fit as least_squares_fit
 from .estimation.observations import Noise as Noise
@@ -24,7 +23,6 @@ from .history.trace import trace as trace
 from .identification.comparison import (
     Comparison as Comparison,
     compare as compare,
-    cross_validation as cross_validation,
 )
 from .identification.experiment_design import (
     Candidate as Candidate,
@@ -35,9 +33,7 @@ from .identification.experiment_design import (
 from .identification.fit import Fit as Fit, fit as fit
 from .identification.model_free import (
     ModelFreeFriction as ModelFreeFriction,
-    ModelFreeLoop as ModelFreeLoop,
     model_free_friction as model_free_friction,
-    model_free_loop as model_free_loop,
 )
 from .identification.parameters import BenchSetting as BenchSetting
 from .measurements.holds import SerialCorrelation as SerialCorrelation, average_holds as average_holds

@@ -364,7 +364,6 @@ def test_too_few_steps_are_a_failure():
         ({"observed": NOISY[:4]}, r"predict gives arrays of \[30\] numbers where the data have \[4\]"),
         ({"scales": {"a": 0.0}}, r"scale of 'a': needs a number > 0"),
         ({"start": {}}, "start: there is no parameter to fit"),
-        ({"loss": "tukey"}, "loss 'tukey' is not known; there are linear, huber"),
         ({"starts": 0}, "starts must be a whole number of 1 or more, got 0"),
     ],
 )

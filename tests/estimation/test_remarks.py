@@ -24,7 +24,7 @@ def test_an_outlier_is_pointed_out(sigma):
     data = NOISY.copy()
     data[7] += 10 * SIGMA
     fit = least_squares_fit(line, START, data, sigma)
-    assert fit.remarks == ("entry 8 of data lies far off the model: check it, or use a robust loss",)
+    assert fit.remarks == ("entry 8 of data lies far off the model: check it, or leave it out",)
 
 
 def test_honest_noise_has_hardly_ever_an_outlier():

@@ -63,7 +63,6 @@ def test_gain_and_zeros_of_the_instruments(paper):
     assert plain.reduced_chi_square > 2
     ranking = cddf.compare({"plain": plain, "errors of the cells": found})
     assert ranking[0].name == "errors of the cells"
-    assert ranking[0].cross_validation < 1.1 < ranking[1].cross_validation
     assert pytest.approx(2 * 5 - 2 * found.log_likelihood) == ranking[0].AIC
 
 

@@ -244,7 +244,7 @@ def test_a_slack_offset_may_belong_to_a_trial():
 
 
 def test_trials_stay_where_each_row_is_pulled_from_rest():
-    """Their friction may differ, and bootstraps draw them whole."""
+    """Their friction may differ."""
     table = Measurements.from_columns("bench", displacement=[1e-3, 2e-3] * 2, tip_angle=np.zeros(4), trial=[*"aabb"])
     rows = paths_of(table, None)
     here = course_of(table, {"displacement": 0.0}, paths=rows)[0]

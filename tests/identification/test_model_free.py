@@ -144,6 +144,17 @@ def test_rows_without_an_angle_or_a_tension_are_left_out(row):
     assert "of 24 of 25 rows" in other.verdict[0]
 
 
+def test_of_a_loop_the_rows_of_the_pull_count():
+    """20 -> 75 -> 40 -> 60 -> 10 N: the capstan law holds for the first two rows, and is off by a half elsewhere."""
+    base, way = np.array([20.0, 75, 40, 60, 10]), np.array([1, 1, 0.5, 0.5, 0.5])
+    table = Measurements.from_columns(
+        base_tension=base, tip_tension=base * np.exp(-MU * way), tip_angle=np.ones(5), step=range(5)
+    )
+    found = model_free_friction(table)
+    assert found.value == pytest.approx(MU, rel=1e-9)
+    assert np.isfinite(found.estimate).tolist() == [True, True, False, False, False]
+
+
 def test_one_row_determines_the_value_but_not_its_noise():
     table = table_of(BASE[:1], ANGLE[:1])
     found = model_free_friction(table)

@@ -350,4 +350,3 @@ def test_the_other_readings_of_a_row_count():
         np.testing.assert_allclose(one.value[name], other.value[name], rtol=1e-7)  # the optimiser's own tolerance
         np.testing.assert_allclose(one.standard_error[name], other.standard_error[name], rtol=1e-5)
     assert one.residuals["gap: tip_tension"].shape == (3,)
-    assert one.clusters["gap: tip_tension"][1].tolist() == [0, 1, 3]

@@ -263,7 +263,7 @@ def test_two_tendons_are_drawn_over_their_predictions():
     np.testing.assert_allclose(reach, fit.band(predicted.derivatives["tip_tension_2"]), rtol=1e-9)
 
 
-# --- residuals, profiles, correlation, bootstraps --------------------------------------------------
+# --- residuals, profiles, correlation --------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -274,7 +274,7 @@ def drum(paper, pulley):
 
 @pytest.fixture(scope="module")
 def drum_report(drum):
-    return report.make_report(drum, bootstraps=[drum.bootstrap("parametric", 40), drum.bootstrap("cases", 40)])
+    return report.make_report(drum)
 
 
 def texts(axes):
@@ -333,18 +333,6 @@ def test_the_correlation_in_numbers(paper_route, tensions_only):
     assert "## Correlation" not in words_of(tensions_only)
 
 
-def test_the_bootstrap_in_the_report(drum_report):
-    drawn = drum_report.bootstraps[0].estimates[:, 0]
-    low, high = np.percentile(drawn, [2.5, 97.5])
-    said = f"friction_coefficient +- {np.std(drawn, ddof=1):.2g} (95 %: {low:.5g} to {high:.5g}), bias "
-    for text in (report.fit_as_markdown(drum_report), report.fit_in_words(drum_report)):
-        assert "ootstrap, parametric, 40 refits, seed 0" in text
-        assert said in text
-        assert text.count("too narrow: drawn from 3 case(s) only: ") == 1  # trials of the pulley
-    told = [bootstrap["coverage"] for bootstrap in report.fit_as_dict(drum_report)["bootstraps"]]
-    assert told == [bootstrap.coverage for bootstrap in drum_report.bootstraps]
-
-
 def test_what_cannot_be_drawn_is_said(drum):
     """A failed search at a place where the model gives no numbers, made up."""
     lost = {label: np.full(values.shape, np.nan) for label, values in drum.residuals.items()}
@@ -380,7 +368,7 @@ def test_the_first_lines_name_the_one_point(paper):
 
 
 def test_the_files_of_a_report(drum, drum_report, tmp_path):
-    cddf.write_fit(drum, tmp_path, bootstraps=drum_report.bootstraps)
+    cddf.write_fit(drum, tmp_path)
     written = {path.name for path in tmp_path.iterdir()}
     figures = {f"{name}.{suffix}" for name in report.report_figures(drum_report) for suffix in ("pdf", "png")}
     assert written == {"report.md", "results.json", *figures}
@@ -401,7 +389,6 @@ def test_a_fit_is_repeated_from_its_results(drum_report, drum, tmp_path):
         "optimistix",
         "equinox",
     }
-    assert len(results["bootstraps"][0]["estimates"]) == 40
     again = repeated(results, tmp_path)
     assert again.value == pytest.approx(drum.value, rel=1e-12)
     assert again.standard_error == pytest.approx(drum.standard_error, rel=1e-9)

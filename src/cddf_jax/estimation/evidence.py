@@ -123,10 +123,6 @@ class Evidence:
             random=tuple(i for i in self.random if self.space.names[i] in with_priors_of),
         )
 
-    def within(self, kept: Mapping[str, np.ndarray]) -> "Evidence":
-        """Only some of the data: `kept` selects rows of its groups. Other groups and the priors stay complete."""
-        return self._selected({name: kept.get(name, np.full(len(own), True)) for name, own in self.rows.items()})
-
     def enlarged(self, factors: Mapping[str, float]) -> "Evidence":
         """With the variance of the noise of some groups times a factor, as where their data are not independent."""
         rows = {name: own / np.sqrt(factors.get(name, 1.0)) for name, own in self.rows.items()}

@@ -12,7 +12,6 @@ from jaxtyping import PyTree
 
 from ..errors import InputError
 from ..numerics.given_numbers import check_numbers
-from .bootstrap import Bootstrap, Clusters, bootstrap
 from .determination import Determination, determine
 from .evidence import Evidence
 from .levenberg_marquardt import MAX_STEPS, Minimum
@@ -22,7 +21,6 @@ from .profile_likelihood import Profile, profile_likelihood
 from .remarks import remarks_on_parameters, remarks_on_residuals
 from .residuals import Data, InputErrors, LeastSquaresProblem, Shared, no_inputs
 from .restarts import Searched, search
-from .robust_loss import LOSSES
 from .whole_search import INTERRUPTED, FitTask
 
 
@@ -38,7 +36,6 @@ class LeastSquaresFit(Determination):
     reduced_chi_square: float  # sum of squared weighted residuals over the degrees of freedom
     degrees_of_freedom: int  # data less what they determine
     log_likelihood: float  # Gaussian, with this noise, without priors
-    loss: str  # as it was given
     num_steps: int  # of the optimiser
     starts: np.ndarray  # the lowest cost of the search from each start, the best first
     restarted: str  # why there were several starts although none were asked for, in words; else ""
@@ -103,38 +100,6 @@ class LeastSquaresFit(Determination):
         (quantile,) = self.evidence.uncertainty(np.eye(len(self.names))[[self.names.index(name)]]).quantile
         return profile_likelihood(self.minimum, name, self.standard_error[name], float(quantile))
 
-    @property
-    def clusters(self) -> Clusters:
-        """By group of data, the source of a bootstrap of cases and the label of each datum; {}: a datum is a case."""
-        return {}
-
-    def bootstrap(
-        self,
-        kind: str = "parametric",
-        replicates: int = 1000,
-        *,
-        clusters: Clusters | None = None,
-        seed: int = 0,
-    ) -> Bootstrap:
-        """Draw new data and fit them, starting at the estimate, with the same weights of the data.
-
-        A prior counts as one more reading and is drawn too; under a robust loss it is kept.
-
-        Args:
-            kind: "parametric" or "cases".
-            replicates: how many.
-            clusters: for "cases", by group, the name of its source and one label per datum. Data with the same label
-                are drawn together, also across groups with the same source. None for the clusters of the fit.
-            seed: of NumPy's generator.
-
-        Raises:
-            InputError: for an unknown kind, too few replicates, clusters that do not fit a group.
-        """
-        if clusters is None:
-            clusters = self.clusters if kind == "cases" else {}
-        freedom = np.min(self.evidence.uncertainty(np.eye(len(self.names))).freedom)
-        return bootstrap(self.minimum, kind, replicates, clusters, float(freedom), seed)
-
     def doubted(self, reason: str) -> "LeastSquaresFit":
         """The fit as a failed one, for a reason that is not in its sum of squares."""
         evidence = replace(self.evidence, failed=True, bounded_above=())
@@ -166,7 +131,6 @@ def least_squares_fit(
     *,
     priors: Priors | None = None,
     scales: Mapping[str, float] | None = None,
-    loss: str = "linear",
     starts: int | None = None,
     seed: int = 0,
     prefer_start: bool = False,
@@ -187,8 +151,6 @@ def least_squares_fit(
         priors: by parameter name, mean and standard deviation of a Gaussian.
         scales: by parameter name, a size that matters, for parameters that may be 0. If the estimate is smaller, the
             standard error is compared with this size.
-        loss: "linear" or "huber", in standard deviations of the noise. With a loss other than
-            "linear" the noise is estimated by the median.
         starts: number of points to search from, the first being `start`. None: from `start` alone, and from up to 32
             more if that search failed, hardly explained the data or ended where the data do not determine the
             parameters; then the remarks say so. Further starts lie up to three powers of ten from the first, by the
@@ -214,8 +176,6 @@ def least_squares_fit(
         raise InputError("start: there is no parameter to fit; give one or more")
     if starts is not None and (isinstance(starts, bool) or not isinstance(starts, int) or starts < 1):
         raise InputError(f"starts must be a whole number of 1 or more, got {starts!r}")
-    if loss not in LOSSES:
-        raise InputError(f"loss {loss!r} is not known; there are {', '.join(LOSSES)}")
     check_numbers("start", jax.tree.leaves(start))
     leaves = [np.asarray(leaf, float) for leaf in jax.tree.leaves(start)]
     unravel = Structure(jax.tree.structure(start), tuple(leaf.shape for leaf in leaves))
@@ -227,7 +187,6 @@ def least_squares_fit(
     data = Data(
         values=tuple(group.values for group in groups),
         noise=tuple(group.first_guess() for group in groups),
-        times=tuple(np.ones(group.values.shape) for group in groups),
         prior=prior,
     )
     labels = tuple(group.name for group in groups)
@@ -238,7 +197,7 @@ def least_squares_fit(
             dict.fromkeys(inputs.sigma, 0.0),
             len(shared.basis),
         )
-    problem = LeastSquaresProblem(predict, unravel, labels, data, shared, space, loss, max_steps, accuracy)
+    problem = LeastSquaresProblem(predict, unravel, labels, data, shared, space, max_steps, accuracy)
     task = FitTask(problem, groups, prefer_start, inputs)
     return _conclude(task.groups, jax.tree.structure(observed), search(task, starts, seed), seed)
 
@@ -280,7 +239,6 @@ def _conclude(groups: Sequence[Observed], structure: PyTree, searched: Searched,
         reduced_chi_square=float(np.sum(outcome.residual**2)) / max(freedom, 1),
         degrees_of_freedom=freedom,
         log_likelihood=float(log_likelihood),
-        loss=problem.loss,
         num_steps=int(outcome.num_steps),
         starts=searched.cost,
         restarted=searched.remark,

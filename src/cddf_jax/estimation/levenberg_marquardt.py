@@ -3,7 +3,7 @@
 import time
 from collections.abc import Sequence
 from contextvars import ContextVar
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -15,10 +15,9 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from ..progress import SHOWN, stage
 from .parameter_space import TINY, Numbers
-from .residuals import Data, LeastSquaresProblem
+from .residuals import LeastSquaresProblem
 
 TOLERANCE = 1e-9  # relative, of unknowns and cost; with a smaller one rounding errors of the cost decide on steps
-BATCH_TOLERANCE = 1e-6  # of a lane of many: far below any standard error
 MAX_STEPS = 500
 BRIEF = 0.3  # s: after a portion of steps that took longer, the next one is shorter
 LONG = 20.0  # s: a search that took longer says how to stop it
@@ -30,14 +29,14 @@ GOOD = 0.75  # of the promised fall of the cost: after a step that brings more, 
 
 
 class Outcome(NamedTuple):
-    """Where the optimiser stopped; for many searches at once all arrays have a leading axis."""
+    """Where the optimiser stopped."""
 
     z: np.ndarray
     parameters: np.ndarray
     size: np.ndarray  # of each parameter: its unit in the Jacobian
     residual: np.ndarray
     jacobian: np.ndarray  # of the residual by the parameters over their size
-    cost: np.ndarray  # the sum of squares, or of the loss
+    cost: np.ndarray  # the sum of squares
     num_steps: np.ndarray
     solved: np.ndarray
 
@@ -59,7 +58,7 @@ class Minimum(NamedTuple):
         pairs = zip(problem.data.noise, noise, strict=True)
         residual[: problem.num_data] *= np.concatenate([np.ravel(now / then) for now, then in pairs])
         with np.errstate(over="ignore", invalid="ignore"):
-            cost = float(np.sum(problem.softened(residual) ** 2))
+            cost = float(np.sum(residual**2))
         return cost if np.isfinite(cost) else np.inf
 
     def is_enough(self, closing: float) -> bool:
@@ -73,7 +72,7 @@ class Minimum(NamedTuple):
         if not asked or not np.isfinite(outcome.cost) or not np.all(np.isfinite(outcome.jacobian)):
             return False
         basis, _ = np.linalg.qr(outcome.jacobian[:, np.any(outcome.jacobian, axis=0)])  # those that are held are 0
-        promised = np.sum((basis.T @ problem.influence(outcome.residual)) ** 2)
+        promised = np.sum((basis.T @ outcome.residual) ** 2)
         return bool(promised < problem.noteworthy * outcome.cost or CLEARLY * promised < outcome.cost - closing)
 
     def is_near(self, other: "Minimum") -> bool:
@@ -198,18 +197,6 @@ def _has_stalled(costs: Sequence[float], noteworthy: float) -> bool:
     return noteworthy > 0 and len(costs) > STALLED and costs[-STALLED - 1] - costs[-1] < noteworthy * costs[-1]
 
 
-def minimise_all(problem: LeastSquaresProblem, z: np.ndarray, data: Data) -> Outcome:
-    """Many searches at once, from z, (searches, n).
-
-    The data stand in place of the problem's. Arrays that have a leading axis hold those of each search.
-    """
-
-    def one_each(x: Numbers, own: Numbers) -> np.ndarray:
-        return np.broadcast_to(x, (len(z), *np.shape(own)))
-
-    return _outcome(_descend_all(problem, jax.tree.map(one_each, data, problem.data), z))
-
-
 def evaluate(problem: LeastSquaresProblem, z: np.ndarray) -> Outcome:
     """Cost, residuals and derivatives at z, as if a search had ended there."""
     free = np.full(len(z), np.nan)
@@ -293,7 +280,7 @@ def _at(
     parameters, stretch = jax.jvp(lambda z: problem.parameters(z, held), (z,), (jnp.ones_like(z),))
     size = problem.space.size(parameters)
     slope = by_z / jnp.where(stretch == 0, 1.0, stretch)
-    return z, parameters, size, residual, slope * size, jnp.sum(problem.softened(residual) ** 2)
+    return z, parameters, size, residual, slope * size, jnp.sum(residual**2)
 
 
 @eqx.filter_jit
@@ -338,7 +325,7 @@ def _descend(
 
     def residual(z, _):
         value, slope = looked(z)
-        return problem.softened(value), (value, slope)
+        return value, (value, slope)
 
     region = _TrustRegion(reach=reach, portion=portion, tolerance=tolerance)
     optimiser = eqx.tree_at(lambda o: o.search, optx.LevenbergMarquardt(tolerance, tolerance), region)
@@ -359,14 +346,3 @@ def _descend(
     reach = jnp.stack([search.size, search.shrink])
     outcome = *_at(problem, solution.value, held, found), search.num_steps, solved
     return *outcome, _Known(found[0], found[1], jnp.asarray(True)), reach, solved | ~paused
-
-
-@eqx.filter_jit
-def _descend_all(problem: LeastSquaresProblem, data: Data, z: Float[Numbers, "searches n"]) -> tuple[ArrayLike, ...]:
-    free, nothing = jnp.full(z.shape[1], jnp.nan), _nothing_known(problem, z[0])
-
-    def one(data, z):
-        whole = np.array([1.0, SHORTER]), np.asarray(problem.max_steps)
-        return _descend(replace(problem, data=data), z, free, nothing, *whole, BATCH_TOLERANCE)[:-3]
-
-    return jax.vmap(one)(data, z)

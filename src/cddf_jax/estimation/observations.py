@@ -16,7 +16,6 @@ from .parameter_space import TINY
 from .residuals import InputErrors, LeastSquaresProblem, Shared
 
 MODEL_PRECISION = 1e-8  # noise is never estimated below this times the data: the model is no better
-MEDIAN_TO_DEVIATION = 1.4826  # of a Gaussian, from the median of |residual|
 LARGEST_LEVERAGE = 0.9
 NEGLIGIBLE = 1e-3  # of the noise: a smaller part of it is set to 0
 EXACTLY = {"ftol": 1e-15, "gtol": 1e-12, "maxiter": 500, "maxls": 60}  # of the likelihood of floor and fraction
@@ -24,8 +23,6 @@ LEAST_FALL = 1.0  # of minus twice the logarithm of the likelihood, by the noise
 LINEAR_ROUNDS, LIKELY_ENOUGH = 200, 1e-7
 NOT_MOVING = 1e-12  # singular values of the effects of inputs below this times the largest are rounding
 DECADES = 12.0  # logarithm of the largest noise of an input over the smallest
-WINSOR = 1.0  # squares of residuals count up to this under a robust loss: Huber (1981), proposal 2
-WINSORED_SQUARE = 0.5160585  # their mean for a Gaussian: E min(Z^2, 1)
 
 
 class Noise(NamedTuple):
@@ -65,22 +62,18 @@ class Observed:
             return np.hypot(np.maximum(floor, MODEL_PRECISION * self.scale), fraction * self.values)
         return np.broadcast_to(self.sigma, self.values.shape)
 
-    def estimate(self, old: np.ndarray, residual: np.ndarray, leverage: np.ndarray, loss: str) -> np.ndarray:
+    def estimate(self, old: np.ndarray, residual: np.ndarray, leverage: np.ndarray) -> np.ndarray:
         """Standard deviations from residuals in units of the old ones, less the degrees of freedom of the fit."""
         noise, least = old.ravel(), MODEL_PRECISION * self.scale
-        error, squares = residual * noise, residual**2
+        error = residual * noise
         if self.sigma is None:
             freedom = max(self.values.size - leverage.sum(), 1e-3)
             spread = np.sqrt(np.sum(error**2) / freedom)
-            if loss != "linear":
-                spread = MEDIAN_TO_DEVIATION * np.median(np.abs(error)) * np.sqrt(self.values.size / freedom)
             return np.full(self.values.shape, max(spread, least))
         if not isinstance(self.sigma, Noise):
             return old
-        if loss != "linear":  # an outlier counts only as much as a residual of ordinary size
-            squares = np.minimum(squares, WINSOR**2) / WINSORED_SQUARE
         predicted = self.values.ravel() + error
-        floor, fraction = _parts(self.sigma, predicted, squares * noise**2, leverage, noise)
+        floor, fraction = _parts(self.sigma, predicted, error**2, leverage, noise)
         return np.hypot(max(floor, least), fraction * predicted).reshape(self.values.shape)
 
     def noise_slopes(self, noise: np.ndarray, residual: np.ndarray) -> np.ndarray:
@@ -122,7 +115,7 @@ def estimate_noise(
         jacobian = without_nan(outcome.jacobian)
         leverage = problem.by_group(spectrum_of(jacobian).leverage(jacobian))
         found = zip(groups, given, problem.by_group(outcome.residual), leverage, strict=True)
-        return tuple(group.estimate(noise, r, h, problem.loss) for group, noise, r, h in found), problem.shared
+        return tuple(group.estimate(noise, r, h) for group, noise, r, h in found), problem.shared
     if not np.all(np.isfinite(outcome.residual)):
         return given, problem.shared
     effects = effects_of(inputs, groups, problem.unravel(outcome.parameters))
@@ -130,7 +123,7 @@ def estimate_noise(
     free = [name for name, sigma in inputs.sigma.items() if sigma is None]
     none = {name: sigma or 0.0 for name, sigma in inputs.sigma.items()}
     without = linear.settled(given, none, ())
-    if not free or problem.loss != "linear":
+    if not free:
         return without[1:]
     found = linear.settled(given, none, free)
     return (found if found[0] < without[0] - LEAST_FALL else without)[1:]
@@ -179,7 +172,7 @@ class _Linear(NamedTuple):
             error = np.asarray(shared.whitened(pulls[:count]))
             leverage = 1 - shared.kept + np.sum(shared.whitened(basis[:count]) ** 2, axis=1)
             each = zip(self.groups, noise, problem.by_group(error), problem.by_group(leverage), strict=True)
-            noise = tuple(group.estimate(sigma, r, h, problem.loss) for group, sigma, r, h in each)
+            noise = tuple(group.estimate(sigma, r, h) for group, sigma, r, h in each)
         return float(height), noise, shared
 
     def _shared(self, deviation: dict[str, float], noise: np.ndarray) -> Shared:

@@ -10,8 +10,6 @@ import numpy as np
 
 from ..progress import stage
 from .levenberg_marquardt import Minimum, hold_one
-from .parameter_space import TINY
-from .robust_loss import LOSSES
 
 NEAR = np.array([0.15, 0.3, 0.5, 0.7, 0.85, 1.0, 1.15, 1.35, 1.7, 2.5])  # distances in half-widths of the interval
 FAR = np.array([1.5, 3.0, 10.0, 30.0, 100.0, 1000.0])  # further distances, in sizes of the parameter
@@ -41,11 +39,7 @@ def profile_likelihood(minimum: Minimum, name: str, standard_error: float, quant
     guess, and may be infinite. The quantile is the half-width of a 95 % interval over its standard error.
     """
     best, space = minimum.outcome, minimum.problem.space
-    i, threshold, loss = space.names.index(name), quantile**2, LOSSES[minimum.problem.loss]
-    if loss is not LOSSES["linear"]:
-        # the mean rise, over that of least squares, at one standard error: mean psi^2 over mean psi' (Huber 1981)
-        spread, slope = loss.moments(best.residual[: minimum.problem.num_data], best.z.size)
-        threshold *= spread / max(slope, TINY)
+    i, threshold = space.names.index(name), quantile**2
     size = float(max(best.size[i], space.scale[i]) if space.at_bound(best.parameters)[i] else best.size[i])
     half_width = min(quantile * standard_error, size)
     estimate = _Point(float(best.parameters[i]), 0.0, best.z, best.parameters)

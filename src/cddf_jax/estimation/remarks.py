@@ -54,7 +54,7 @@ def remarks_on_residuals(evidence: Evidence, minimum: Minimum, place: Place) -> 
     for i, (name, rows) in enumerate(evidence.rows.items()):
         residual, values, noise = residuals[i], np.ravel(problem.data.values[i]), np.ravel(problem.data.noise[i])
         estimated = evidence.noise_estimated[name]
-        far = _far_off(residual, spectrum.leverage(rows), estimated) if problem.loss == "linear" else None
+        far = _far_off(residual, spectrum.leverage(rows), estimated)
         if estimated and np.max(noise) <= EXACT * np.max(np.abs(values), initial=0.0):
             found.append(
                 f"{name} is met exactly, its noise cannot be estimated: standard errors mean nothing; give the noise"
@@ -68,12 +68,12 @@ def remarks_on_residuals(evidence: Evidence, minimum: Minimum, place: Place) -> 
                 f"{name} is hardly explained at all, no better than by a constant; check its unit and sign, the model "
                 "and the start"
             )
-        elif problem.loss == "linear":
+        else:
             found += _uneven(name, residual, values) if estimated and np.ptp(noise) == 0 else []
             if far:
                 k, count = far
                 others = f" (and {count - 1} more)" if count > 1 else ""
-                found.append(f"{place(name, k)} lies far off the model{others}: check it, or use a robust loss")
+                found.append(f"{place(name, k)} lies far off the model{others}: check it, or leave it out")
     return found
 
 

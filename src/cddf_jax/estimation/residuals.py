@@ -17,7 +17,6 @@ from jaxtyping import Array, Float, PyTree
 
 from ..errors import InputError
 from .parameter_space import Numbers, ParameterSpace, Prior, Structure
-from .robust_loss import LOSSES
 
 
 class InputErrors(NamedTuple):
@@ -85,11 +84,10 @@ def no_inputs(data: int) -> Shared:
 
 
 class Data(NamedTuple):
-    """The data of a fit; for many fits at once, arrays may have a leading axis of fits."""
+    """The data of a fit."""
 
     values: tuple[Numbers, ...]  # by group
     noise: tuple[Numbers, ...]  # standard deviations, of the shapes of the values
-    times: tuple[Numbers, ...]  # how often each datum counts
     prior: dict[int, Prior]  # by parameter
 
 
@@ -104,7 +102,6 @@ class LeastSquaresProblem:
     data: Data
     shared: Shared  # errors of inputs in the data
     space: ParameterSpace
-    loss: str = field(metadata={"static": True})
     max_steps: int = field(metadata={"static": True})  # of a search
     # in standard errors: a search need not come closer to the minimum
     accuracy: float = field(default=0.0, metadata={"static": True})
@@ -116,7 +113,7 @@ class LeastSquaresProblem:
         """
         parameters = self.parameters(z, held)
         predicted = jax.tree.leaves(self.predict(self.unravel(parameters)))
-        values, noise, _, prior = self.data
+        values, noise, prior = self.data
         sizes, wanted = [jnp.size(p) for p in predicted], [np.size(v) for v in values]
         if sizes != wanted:
             raise InputError(f"predict gives arrays of {sizes} numbers where the data have {wanted}")
@@ -139,18 +136,6 @@ class LeastSquaresProblem:
     def num_data(self) -> int:
         """The number of data, without the rows of the priors."""
         return sum(np.size(v) for v in self.data.values)
-
-    def softened(self, residual: Float[Numbers, " m"]) -> Float[Numbers, " m"]:
-        """The residuals whose squares are summed: as the loss transforms them, data that count twice taken twice."""
-        xp = residual.__array_namespace__()
-        data, prior = residual[: self.num_data], residual[self.num_data :]
-        times = xp.concat([t.reshape(-1) for t in self.data.times])
-        return xp.concat([LOSSES[self.loss].transformed(data) * xp.sqrt(times), prior])
-
-    def influence(self, residual: np.ndarray) -> np.ndarray:
-        """Half the derivative of the cost by each residual."""
-        data, prior = np.split(residual, [self.num_data])
-        return np.append(LOSSES[self.loss].influence(data), prior)
 
     def unwhitened(self, rows: np.ndarray) -> np.ndarray:
         """The rows of the data as they are without errors of inputs, and then those of the priors."""

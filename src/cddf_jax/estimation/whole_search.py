@@ -24,7 +24,6 @@ from .observations import Observed, estimate_noise
 from .parameter_space import TINY, ParameterSpace
 from .remarks import unexplained_groups
 from .residuals import InputErrors, LeastSquaresProblem, Shared
-from .robust_loss import LOSSES
 
 SUCCESSFUL = "successful"
 NO_NUMBER = "the model gave no number at the estimate; start closer, or leave out data that it cannot reach"
@@ -139,12 +138,6 @@ def _evidence(task: FitTask, minimum: Minimum) -> Evidence:
     size = np.where(at_bound, np.maximum(outcome.size, space.scale), outcome.size)
     jacobian = without_nan(outcome.jacobian * (size / outcome.size)) if finite else np.zeros_like(outcome.jacobian)
     rows, prior_rows = problem.by_group(jacobian), jacobian[problem.num_data :]
-    if problem.loss != "linear":
-        residuals = problem.by_group(outcome.residual)
-        moments = [LOSSES[problem.loss].moments(residual, len(size)) for residual in residuals]
-        # what the loss makes of one standard deviation: mean psi' over the root of the mean psi^2 (Huber 1981)
-        factors = [slope / np.sqrt(max(spread, TINY)) for spread, slope in moments]
-        rows = [row * factor for row, factor in zip(rows, factors, strict=True)]
     return Evidence(
         space=space,
         value=outcome.parameters,
@@ -195,7 +188,7 @@ def _result(minimum: Minimum, evidence: Evidence, least_rise: float, *, settled:
 def slopes(minimum: Minimum, outcome: Outcome) -> np.ndarray:
     """(parameters,), of the cost, over what residuals and derivatives could make them."""
     column, total = np.linalg.norm(outcome.jacobian, axis=0), np.linalg.norm(outcome.residual)
-    slope = np.abs(outcome.jacobian.T @ minimum.problem.influence(outcome.residual))
+    slope = np.abs(outcome.jacobian.T @ outcome.residual)
     return slope / np.maximum(column * total, TINY)
 
 

@@ -47,16 +47,13 @@ def _points(groups: Sequence[Group]) -> Iterator[Tracked]:
 # --- readings out of reach -------------------------------------------------------------------------
 
 
-def check_reach(
-    model: BenchModel, groups: Sequence[Group], free: Collection[str], given: Mapping[str, float], *, outliers: bool
-) -> None:
+def check_reach(model: BenchModel, groups: Sequence[Group], free: Collection[str], given: Mapping[str, float]) -> None:
     """Refuse positions that are farther from the base than the body is long.
 
     Args:
         model, groups: the bench and its data.
         free: the parameters that are fitted; along an axis in which the camera is free, the base may be anywhere.
         given: known parameters.
-        outliers: whether single rows may be out of reach.
 
     Raises:
         InputError: names table, row and remedy.
@@ -70,7 +67,7 @@ def check_reach(
         away = [np.nan_to_num(table[point.axes[axis].column] - place) for axis, place in base.items()]
         distance = np.linalg.norm(np.reshape(away, (-1, len(table))), axis=0)
         far = np.flatnonzero(distance > reach)
-        if not len(far) or (outliers and len(far) <= MOST * len(table)):
+        if not len(far):
             continue
         i = int(far[0])
         single = "" if len(far) > MOST * len(table) else "leave the row out (leave_out, --leave-out), "

@@ -155,13 +155,6 @@ class Course(eqx.Module):
         return np.column_stack([first, np.diff(readings, axis=1) > 0])[self.trial, self.step]
 
     @property
-    def before_turns(self) -> np.ndarray:
-        """(rows,), whether a row lies before the first turn of its trial."""
-        falls = self._falls
-        first = np.where(np.any(falls, axis=1), np.argmax(falls, axis=1), falls.shape[1])
-        return np.asarray(self.step) <= first[np.asarray(self.trial)]
-
-    @property
     def each_from_rest(self) -> bool:
         """Whether each row is a path of its own, from rest."""
         return np.shape(self.readings)[1] == 1 and self.past is None

@@ -260,19 +260,6 @@ class Fit(LeastSquaresFit):
         return found
 
     @cached_property
-    def pull_alone(self) -> Determination | None:
-        """What the rows before the first turn of each trial determine, at this estimate; None without turns."""
-        turned = {
-            g.label: g.experiment.course.before_turns[g.there]
-            for g in self.groups
-            if isinstance(g.experiment, bench.Bench)
-            and g.experiment.course is not None
-            and g.experiment.course.turns
-            and g.experiment.course.past is None
-        }
-        return determine(self.widened.within(turned)) if turned else None
-
-    @cached_property
     def moved_by_steps(self) -> dict[str, float]:
         """By parameter, its error by the increments of a history, over its standard error; {} without increments."""
         return moved_by_finer_steps(self, self.model, self.groups) if self.success else {}
@@ -286,12 +273,6 @@ class Fit(LeastSquaresFit):
     def rivals(self) -> list[Rival]:
         """What else may have made the loops of a bench driven by displacement, beside friction on the body."""
         return rivals_of(self, self.tables, self.model, self.options)
-
-    @property
-    def clusters(self) -> dict[str, tuple[str, np.ndarray]]:
-        """By group of data, the table whose trials (or rows, without trials) are drawn together, and their labels."""
-        labels = {g.label: g.table.columns.get("trial", np.arange(len(g.table))) for g in self.groups}
-        return {group.label: (group.name, labels[group.label][group.there]) for group in self.groups}
 
 
 def fit(
@@ -308,7 +289,6 @@ def fit(
     short_steps: int = SHORT_STEPS,
     leave_out: LeaveOut = (),
     per_trial: bool = False,
-    loss: str = "linear",
     starts: int | None = None,
     seed: int = 0,
     nodes: int = 16,
@@ -361,7 +341,7 @@ def fit(
             several files by name, {"run_2.csv": [8, 14]}. With a history such a row stays as a step of the path.
             "contradicted": fit, leave out the rows that the fit contradicts, and fit again, until there is none.
         per_trial: let friction differ from trial to trial: ln(mu) has a normal distribution whose spread is estimated.
-        loss, starts, seed: as in `least_squares_fit`.
+        starts, seed: as in `least_squares_fit`.
         nodes: as in `solve`.
 
     Raises:
@@ -379,7 +359,7 @@ def fit(
         raise InputError("fit: data must be tables as read_measurements gives them, one or several")
     given: dict[str, Any] = {
         **{"priors": priors or {}, "bounds": bounds or {}, "noise": noise or {}, "setting": setting, "nodes": nodes},
-        **{"history": history, "before": before, "short_steps": short_steps, "per_trial": per_trial, "loss": loss},
+        **{"history": history, "before": before, "short_steps": short_steps, "per_trial": per_trial},
         **{"starts": starts, "seed": seed},
     }
     if isinstance(leave_out, str) and leave_out.strip() == CONTRADICTED:
@@ -420,7 +400,7 @@ def fit(
     bounds = own_bounds | {name: (low, None) for name, (_, low) in guesses.items()} | dict(bounds or {})
     sigma = noise_of(groups, noise)
     with within("fit"):
-        check_reach(model, groups, free, setting.given, outliers=loss != "linear")
+        check_reach(model, groups, free, setting.given)
     pose = camera_parameters(manipulator)
     if set(pose) <= set(free) and not any(name in setting.given or name in bounds for name in pose):
         start |= camera_start(model, groups, start)
@@ -428,7 +408,7 @@ def fit(
     observed, inputs = {group.label: group.observed for group in groups}, errors_of_base(model, tables, of_base)
     search = partial(least_squares_fit, model, observed=observed, sigma=sigma, inputs=inputs, bounds=bounds)
     in_increments = any(course is not None and course[0].short_steps is not None for course in courses)
-    search = partial(search, loss=loss, seed=seed, prefer_start=True, accuracy=CLOSE if in_increments else 0.0)
+    search = partial(search, seed=seed, prefer_start=True, accuracy=CLOSE if in_increments else 0.0)
     if not per_trial:
         statistics = search(start, priors=priors, scales=scales, starts=starts)
         found = _conclude(statistics, tables, model, setting, without_jitter, float("nan"), left_out, options)

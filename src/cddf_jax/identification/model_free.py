@@ -1,21 +1,15 @@
-"""Friction from tensions and tip angles, and gain and loss from a loop of tensions, without a model of the body.
+"""Friction from tensions and tip angles, without a model of the body.
 
 A tendon at a constant offset, in a body whose curvature keeps its sign, turns by theta_tip = |phi(L)| between base and
 tip (exact kinematics). The capstan law T_tip = T_base exp(-mu theta_tip), Liu et al. (2020), eq. (8), then gives
 mu = ln(T_base / T_tip) / theta_tip from every row alone, without modulus, taper or length. This checks a fit of the
 full model, and the law itself: mu must not depend on the tension.
-
-Without loads and with friction proportional to the tension, 1/T at the tip is 1/T_base + g where the whole tendon
-slides in, and 1/T_base - g where it slides out, for any body. At equal base tensions the sum of both is 2/T_base, which
-gives the gain of the tip cell over that of the base cell. The difference is 2 g; g is mu/E times the integral of offset
-over second moment of area.
 """
 
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
 from scipy.special import stdtr, stdtrit
 
 from ..errors import InputError
@@ -26,10 +20,6 @@ from ..measurements.table import Measurements
 from ..measurements.table_warnings import ONE_LEVEL
 
 COLUMNS = ("base_tension", "tip_tension", "tip_angle")
-OF_LOOP = ("base_tension", "tip_tension")
-ROUNDS = 20  # at most, to find the rows of a loop in which the whole tendon slides out
-LEAST_ROWS = 2  # of a loop, on either branch
-LEAST_SLACK = 0.1  # of 1/T_base: the smallest 1/T_tip during the search for gain and loss
 SIGNIFICANT = 0.05  # smaller p-values are reported
 SMALLEST_ANGLE = 1e-9  # rad; a smaller angle counts as 0
 LEAST_LEFT = 1e-6  # of the determinant of all rows, without one label; with less the noise cannot be estimated
@@ -125,7 +115,7 @@ def model_free_friction(table: Measurements, *, in_order: bool | None = None) ->
     base, tip, angle = table["base_tension"], table["tip_tension"], np.abs(table["tip_angle"])
     usable = (base > 0) & (tip > 0) & (angle > SMALLEST_ANGLE)
     in_order = table.ordered if in_order is None else in_order
-    usable = usable & (branches(table) > 0) if in_order else usable
+    usable = usable & _pulled(table) if in_order else usable
     if not np.any(usable):
         remedy = "measure at tensions that bend the body"
         raise InputError(f"{table.name}: no row has tensions and a tip angle other than 0; {remedy}")
@@ -194,128 +184,10 @@ def jackknife(columns: np.ndarray, residual: np.ndarray, labels: np.ndarray) -> 
     return changes.T @ changes
 
 
-# --- loops ----------------------------------------------------------------------------------------
-
-
-def branches(table: Measurements) -> np.ndarray:
-    """(rows,), 1 where the base tension is the largest of its trial so far, -1 where it is the smallest since the turn.
-
-    0 where it is neither: within a smaller loop, or pulled again. Jitter of the cell is ignored.
-    """
-    found = np.zeros(len(table))
+def _pulled(table: Measurements) -> np.ndarray:
+    """(rows,), whether the base tension is the largest of its trial so far. Jitter of the cell is ignored."""
+    found = np.zeros(len(table), bool)
     for rows in table.trials:
         tension = without_jitter(table["base_tension"][rows]).tension
-        behind = np.arange(rows.size) > np.flatnonzero(tension == np.max(tension))[-1]
-        up = ~behind & (tension >= np.maximum.accumulate(tension))
-        back = behind & (tension <= np.minimum.accumulate(np.where(behind, tension, np.inf)))
-        found[rows] = np.where(up, 1.0, np.where(back, -1.0, 0.0))
+        found[rows] = tension >= np.maximum.accumulate(tension)
     return found
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ModelFreeLoop:
-    """Gain and loss from both branches of loops."""
-
-    table: Measurements
-    branch: np.ndarray  # (rows,), 1 where the whole tendon slides in, -1 where it slides out, 0 where a row is unused
-    gain: float  # of the tip cell over that of the base cell
-    gain_standard_error: float
-    loss: float  # g, 1/N: 1/T_tip - 1/T_base of a pull
-    loss_standard_error: float
-    degrees_of_freedom: int
-
-    @property
-    def gain_interval(self) -> tuple[float, float]:
-        """95 %, t-statistics."""
-        half = float(stdtrit(max(self.degrees_of_freedom, 1), 0.975)) * self.gain_standard_error
-        return self.gain - half, self.gain + half
-
-    @property
-    def verdict(self) -> tuple[str, ...]:
-        """In words: gain and loss, and what contradicts them."""
-        low, high = self.gain_interval
-        pull, out = (np.count_nonzero(self.branch == way) for way in (1, -1))
-        lines = [
-            f"the tip cell reads {self.gain:.4g} +- {self.gain_standard_error:.2g} times the base cell (95 %: "
-            f"{low:.4g} to {high:.4g}), by the sum of 1/T_tip of {pull} rows pulled and {out} released, for any body",
-            f"1/T_tip - 1/T_base of a pull = {self.loss:.4g} +- {self.loss_standard_error:.2g} 1/N, by the difference",
-        ]
-        if not low <= 1 <= high:
-            lines.append("The two cells do not agree: compare them under one weight, or let tip_gain be free.")
-        return tuple(lines)
-
-    def __str__(self) -> str:
-        return "\n".join(self.verdict)
-
-
-def model_free_loop(table: Measurements) -> ModelFreeLoop:
-    """The gain of the tip cell and the loss of the tendon from a loop of tensions, pulled and released.
-
-    The rows are in the order of the columns `step` or `time`, or of the file; each trial starts from rest. Of the
-    release, only the rows are used in which the whole tendon slides. The noise of the tip cell is estimated from the
-    scatter.
-
-    Not checked: one tendon, no loads, no drag, a tendon parallel to the axis, cells without zeros and pretension.
-
-    Args:
-        table: with `base_tension` and `tip_tension`.
-
-    Raises:
-        InputError: for columns that are missing, forces on the tip, or too few rows on either branch.
-    """
-    for column in OF_LOOP:
-        if column not in table:
-            raise InputError(f"{table.name}: no column {column!r}; a loop needs {' and '.join(OF_LOOP)}")
-    pushed = any(force_column(name) and np.any(table[name]) for name in table.columns)
-    if pushed or len(set_by(table.columns)) > 1:
-        raise InputError(f"{table.name}: a loop without a model needs one tendon and no force on the body; use fit")
-    used = branch = np.where((table["base_tension"] > 0) & (table["tip_tension"] > 0), branches(table), 0.0)
-    loss = _regression(table, branch > 0, branch)[1] if np.count_nonzero(branch > 0) >= LEAST_ROWS else 0.0
-    gain, covariance, freedom = 1.0, np.full((2, 2), np.inf), 0
-    for _ in range(ROUNDS):
-        last, used = used, np.where((branch > 0) | _has_slid_out(table, loss), branch, 0.0)
-        counts = [np.count_nonzero(used == way) for way in (1, -1)]
-        if min(counts) < LEAST_ROWS:
-            raise InputError(
-                f"{table.name}: {counts[0]} rows of the pull and {counts[1]} rows in which all of the tendon slides "
-                f"out; {LEAST_ROWS} of each are needed: release further, or give the order by a column step"
-            )
-        gain, loss, covariance, freedom = _regression(table, used != 0, used)
-        if np.array_equal(used, last):
-            break
-    return ModelFreeLoop(
-        table=table,
-        branch=used,
-        gain=gain,
-        gain_standard_error=float(np.sqrt(covariance[0, 0])),
-        loss=loss,
-        loss_standard_error=float(np.sqrt(covariance[1, 1])),
-        degrees_of_freedom=freedom,
-    )
-
-
-def _has_slid_out(table: Measurements, loss: float) -> np.ndarray:
-    """(rows,), whether the front of the release has reached the tip."""
-    largest = np.zeros(table.trial.max() + 1)
-    np.maximum.at(largest, table.trial, table["base_tension"])
-    return 1 / np.maximum(table["base_tension"], 1e-300) >= 1 / largest[table.trial] + 2 * max(loss, 0.0)
-
-
-def _regression(table: Measurements, rows: np.ndarray, branch: np.ndarray) -> tuple[float, float, np.ndarray, int]:
-    """Gain and loss of T_tip = gain / (1/T_base +- loss), their covariance, and the degrees of freedom."""
-    inverse, tip, way = 1 / table["base_tension"][rows], table["tip_tension"][rows], branch[rows]
-
-    def slack(loss: float) -> np.ndarray:
-        return np.maximum(inverse + way * loss, LEAST_SLACK * inverse)
-
-    best = least_squares(
-        lambda x: x[0] / slack(x[1]) - tip,
-        [1.0, max(float(np.median(way * (1 / tip - inverse))), 0.0)],
-        lambda x: np.stack([1 / slack(x[1]), -x[0] * way / slack(x[1]) ** 2], axis=1),  # pyright: ignore
-        method="lm",
-        x_scale="jac",
-    )
-    covariance, labels = np.full((2, 2), np.inf), independent_labels(table, rows)
-    if np.linalg.matrix_rank(best.jac) == 2:
-        covariance = jackknife(best.jac, -best.fun, labels)
-    return float(best.x[0]), float(best.x[1]), covariance, int(min(tip.size - 2, labels.max()))

@@ -10,7 +10,6 @@ import numpy as np
 from .. import figures
 from ..batch.drafts import check_folder
 from ..errors import InputError
-from ..estimation.bootstrap import Bootstrap
 from ..estimation.determination import NOT_IDENTIFIED, Determination
 from ..estimation.profile_likelihood import Profile
 from ..files.manipulator_file import manipulator_text
@@ -19,8 +18,8 @@ from ..identification.bench import Bench
 from ..identification.curves import tables_without_numbers
 from ..identification.fit import Fit
 from ..identification.parameters import TRIALS, unit_of
-from ..identification.predictions import correlated_names, moving_names, own_names
-from ..identification.verdict import error_in_words, parameter_shown, shown_unit
+from ..identification.predictions import correlated_names, own_names
+from ..identification.verdict import parameter_shown, shown_unit
 from ..measurements.columns import column_dimension
 from ..measurements.table import Measurements
 from ..progress import each, stage
@@ -48,10 +47,6 @@ OF_DETERMINATION = (
     *("rank", "condition_number", "sloppy_direction"),
 )
 OF_FRICTION = ("value", "standard_error", "confidence_interval", "verdict")
-OF_BOOTSTRAP = (
-    *("kind", "seed", "num_failed", "num_cases", "coverage", "remark", "names", "standard_error"),
-    *("confidence_interval", "bias", "correlation", "estimates"),
-)
 
 
 class WithoutModel(NamedTuple):
@@ -74,16 +69,15 @@ class FitResults(NamedTuple):
 
     fit: Fit
     profiles: dict[str, Profile]  # by fitted parameter; none of a fit that failed
-    bootstraps: tuple[Bootstrap, ...]
     model_free: dict[str, WithoutModel]  # by table
 
 
-def make_report(fit: Fit, *, bootstraps: Sequence[Bootstrap] = (), with_profiles: bool = True) -> FitResults:
+def make_report(fit: Fit, *, with_profiles: bool = True) -> FitResults:
     """Compute all that a report contains; profiles take some seconds."""
     profiles = (
         {name: fit.profile(name) for name in each("profile", own_names(fit))} if fit.success and with_profiles else {}
     )
-    return FitResults(fit, profiles, tuple(bootstraps), _without_model(fit))
+    return FitResults(fit, profiles, _without_model(fit))
 
 
 def _without_model(fit: Fit) -> dict[str, WithoutModel]:
@@ -115,11 +109,9 @@ def fit_as_dict(results: FitResults) -> dict[str, object]:
         **_determination_as_dict(fit),
         **picked(fit, OF_FIT),
         "alone": {name: _determination_as_dict(determination) for name, determination in fit.alone.items()},
-        "pull_alone": None if fit.pull_alone is None else _determination_as_dict(fit.pull_alone),
         "without_jitter": fit.without_jitter,
         "cost_from_each_start": fit.starts,
         "profiles": results.profiles,
-        "bootstraps": [picked(bootstrap, OF_BOOTSTRAP) for bootstrap in results.bootstraps],
         "model_free_friction": {
             name: picked(one.found, OF_FRICTION) | {"standard_errors_away": one.away, "unit": "1"}
             for name, one in results.model_free.items()
@@ -154,19 +146,18 @@ def _as_toml(manipulator: Manipulator) -> str | None:
 # --- the report -----------------------------------------------------------------------------------
 
 
-def write_fit(fit: Fit, folder: str | Path, *, bootstraps: Sequence[Bootstrap] = ()) -> None:
+def write_fit(fit: Fit, folder: str | Path) -> None:
     """Write report.md, results.json and the figures (PDF and PNG) into a folder, all of them or none.
 
     Args:
         fit: of `fit`.
         folder: made if it is missing.
-        bootstraps: of `fit.bootstrap`, to be reported with it.
 
     Raises:
         InputError: if the folder cannot be written, before the profiles are computed.
     """
     check_folder(Path(folder))
-    fit_report(make_report(fit, bootstraps=bootstraps)).write(folder)
+    fit_report(make_report(fit)).write(folder)
 
 
 def fit_report(results: FitResults) -> Report:
@@ -245,26 +236,9 @@ def fit_as_markdown(results: FitResults, drawn: Sequence[str] | None = None) -> 
 def _also_said(results: FitResults) -> dict[str, list[str]]:
     """What the terminal and the report say beside the verdict, by title."""
     fit, said = results.fit, {}
-    for bootstrap in results.bootstraps:
-        entries = []
-        for name in moving_names(fit):
-            (scale, unit), (low, high) = shown_unit(name), bootstrap.confidence_interval[name]
-            error, bias = scale * bootstrap.standard_error[name], scale * bootstrap.bias[name]
-            interval = f"95 %: {scale * low:.5g} to {scale * high:.5g}{unit}"
-            entries.append(f"{name} +- {error:.2g}{unit} ({interval}), bias {bias:.2g}{unit}")
-        entries += [f"too narrow: {bootstrap.remark}"] if bootstrap.remark else []
-        lost = f", {bootstrap.num_failed} more failed" if bootstrap.num_failed else ""
-        said[f"bootstrap, {bootstrap.kind}, {len(bootstrap.estimates)} refits{lost}, seed {bootstrap.seed}"] = entries
     if len(fit.tables) > 1:
         alone = fit.alone.items()
         said["each table alone determines"] = [f"{name}: {determination_in_words(found)}" for name, found in alone]
-    if (pull := fit.pull_alone) is not None and fit.success:
-        entries = [f"{name}: {error_in_words(pull, name)}, {error_in_words(fit, name)}" for name in own_names(fit)]
-        for name in fit.combinations:
-            both = (found.combinations.get(name) for found in (pull, fit))
-            errors = (f"{100 * e.standard_error / e.value:.2g} %" if e else "-" for e in both)
-            entries.append(f"{name}: {', '.join(errors)}")
-        said["standard errors of the pull alone, and with the way back"] = entries
     return said
 
 
@@ -308,10 +282,9 @@ def _goodness(fit: Fit) -> list[str]:
         error = f"{100 * fit.mean_relative_error:.3g} %"
         lines.append(f"Mean relative error of the tip tensions, the measure of Liu et al. (2020): {error}.")
     criteria = ", ".join(f"{name} {value:.5g}" for name, value in fit.information_criteria.items())
-    loss = "" if fit.loss == "linear" else f" Loss {fit.loss}."
     if fit.moved_by_steps:
         lines.append(short_steps_in_words(fit))
-    return [*lines, f"Reduced chi-square {fit.reduced_chi_square:.3g}; {criteria}.{loss}"]
+    return [*lines, f"Reduced chi-square {fit.reduced_chi_square:.3g}; {criteria}."]
 
 
 def short_steps_in_words(fit: Fit) -> str:
@@ -400,7 +373,7 @@ def _figures(results: FitResults, drawn: Sequence[str]) -> list[str]:
 
 
 def _stated(fit: Fit) -> list[str]:
-    lines = [f"Kinematics {fit.manipulator.kinematics}, loss {fit.loss}.", *fit.setting.in_words]
+    lines = [f"Kinematics {fit.manipulator.kinematics}.", *fit.setting.in_words]
     lines += [f"marker {n} of {t.name}: {m}" for t in fit.tables for n, m in t.markers.items()]
     named = zip(fit.model.names, fit.model.experiments, strict=True)
     courses = {name: one.course for name, one in named if isinstance(one, Bench) and one.course is not None}
