@@ -102,6 +102,12 @@ PICTURES = (
         "figures.draw_history_along(robot, history)",
     ),
     Picture(
+        "energy",
+        "Where the work goes",
+        "Work put in, stored and lost to friction along that path.",
+        "figures.draw_energy(history)",
+    ),
+    Picture(
         "fit",
         "Data and model",
         "Simulated tip angles, mean and standard deviation of each level, and the fitted model with its 95 % band.",

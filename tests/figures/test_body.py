@@ -61,6 +61,15 @@ def arrows(figure):
     return dict(zip("Fm", (patch._path_original.vertices for patch in patches), strict=True))
 
 
+def marks(figure):
+    """What the legend shows of each load: the way in which its arrow points, by what is said."""
+    legend = shape_of(figure).get_legend()
+    handles, said = legend.legend_handles, [text.get_text() for text in legend.get_texts()]
+    turns = [handle._marker.get_transform() for handle in handles]
+    points = [turn.transform([1.0, 0.0]) - turn.transform([0.0, 0.0]) for turn in turns]
+    return {text: point / np.linalg.norm(point) for text, point in zip(said, points, strict=True)}
+
+
 def test_axes_are_to_scale_and_in_millimetres(figure):
     shape = shape_of(figure)
     assert shape.get_aspect() == 1
@@ -119,9 +128,10 @@ def test_arrows_point_as_the_loads_do(figure, equilibrium):
 
 
 def test_the_legend_states_the_loads_and_covers_nothing(figure):
-    told = [text.get_text() for text in shape_of(figure).get_legend().get_texts()]
-    # |F| = sqrt(0.02^2 + 0.05^2); gravity has no arrow, so its components are told
-    assert told == ["$F$ = 0.0539 N", "$m$ = 0.004 N m", "$g$ = (9.81, 0) m/s$^2$"]
+    told = marks(figure)
+    assert list(told) == ["$F$ = 0.0539 N", "$m$ = 0.004 N m", "$g$ = 9.81 m/s$^2$"]  # |F| = sqrt(0.02^2 + 0.05^2)
+    for mark, vector in zip([*told.values()][::2], (LOADS.tip_force, LOADS.gravity), strict=True):
+        np.testing.assert_allclose(mark, vector / np.linalg.norm(vector), atol=1e-6)
     figure.draw_without_rendering()
     axes = shape_of(figure)
     legend, frame = axes.get_legend().get_window_extent(), axes.get_window_extent()

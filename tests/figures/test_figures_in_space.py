@@ -105,6 +105,25 @@ def test_tendons_are_where_they_are_and_end_at_their_anchors(equilibrium, what):
     assert np.all(np.isnan(what.tendons[1, what.straight.midline[:, 0] > 150.1]))
 
 
+def test_views_have_one_scale(equilibrium):
+    figure = figures.equilibrium_figure(ROBOT, equilibrium, LOADS)
+    views = figure.axes[:3]
+    assert [(view.get_xlabel(), view.get_ylabel()) for view in views] == [
+        ("$X$ (mm)", "$Y$ (mm)"),
+        ("$X$ (mm)", "$Z$ (mm)"),
+        ("$Y$ (mm)", "$Z$ (mm)"),
+    ]
+    figure.draw_without_rendering()
+    scales = [np.diff(view.transData.transform([(0, 0), (1, 1)]), axis=0) for view in views]
+    np.testing.assert_allclose(scales, np.broadcast_to(scales[0][0, 0], np.shape(scales)), rtol=1e-6)
+    # in the plane of the bend both tendons are arcs; the reader at -Y sees neither of them hidden by the midline
+    tips = [line.get_xydata()[0] for line in views[1].lines if line.get_marker() == "o"]
+    angle = np.array([BEND * LENGTH, BEND * 0.15])
+    reach = 1 / BEND - np.array([OFFSET, -OFFSET])
+    expected = 1e3 * np.stack([reach * np.sin(angle), 1 / BEND - reach * np.cos(angle)], axis=-1)
+    np.testing.assert_allclose(tips, expected, rtol=1e-9)
+
+
 def test_fields_along_a_body_in_space(equilibrium):
     figure = figures.equilibrium_figure(ROBOT, equilibrium, LOADS)
     curvature = next(axes for axes in figure.axes if "Curvature" in axes.get_ylabel())

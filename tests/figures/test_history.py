@@ -4,6 +4,7 @@ import jax
 import numpy as np
 import pytest
 from bodies import paper_body
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 import cddf_jax as cddf
@@ -11,8 +12,8 @@ from cddf_jax import figures
 
 BODY = paper_body("exact")
 PATH = np.array([0.0, 75.0, 60.0, 40.0, 60.0, 75.0])
-# a release from 75 N: tip angle, deg, at 75, 60 and 40 N, and front, mm, at 60 and 40 N
-ANGLES, FRONTS = (69.313929, 67.619267, 56.053731), (51.564, 115.089)
+# a release from 75 N: tip angle, deg, and front, mm, at 60 and 40 N, and what is lost so far, mJ, at 75, 60 and 40 N
+ANGLES, FRONTS, LOSSES = (69.313929, 67.619267, 56.053731), (51.564, 115.089), (59.726, 60.423, 70.931)
 
 
 @pytest.fixture(scope="module")
@@ -65,15 +66,26 @@ def test_lines_along_the_body_and_their_fronts(history):
     np.testing.assert_allclose(heights, on_it, rtol=2e-3)  # the kink lies between two points of the lines
 
 
+def test_where_the_work_goes(history):
+    axes = figures.draw_energy(history, Figure().subplots(), steps=range(6))
+    stored, work = (line for line in axes.lines if len(line.get_xdata()) == 6)
+    np.testing.assert_array_equal(work.get_xdata(), [1, 2, 3, 4, 5, 6])
+    np.testing.assert_allclose((work.get_ydata() - stored.get_ydata())[1:4], LOSSES, atol=6e-4)
+    assert work.get_ydata()[1] == pytest.approx(415.405749, abs=6e-7)
+    assert labels_of(axes) == ["stored in the body", "lost to friction", "work put in"]
+    assert [label.get_text() for label in axes.get_xticklabels()][:3] == ["1\n0", "2\n75", "3\n60"]
+    assert sum(isinstance(area, PolyCollection) for area in axes.collections) == 2
+
+
 def test_without_axes_there_is_a_figure_of_one_column(history):
-    for axes in (figures.draw_loop(history), figures.draw_history_along(BODY, history)):
+    for axes in (figures.draw_loop(history), figures.draw_energy(history), figures.draw_history_along(BODY, history)):
         assert axes.figure.get_figwidth() == figures.SINGLE_COLUMN
 
 
 def test_the_whole_figure(history):
     figure = figures.history_figure(BODY, history)
     assert [axes.get_ylabel() for axes in figure.axes] == [
-        *("Tip tension (N)", "Tip angle (deg)", "Tendon displacement (mm)", "Tension $T$ (N)")
+        *("Tip tension (N)", "Tip angle (deg)", "Tension $T$ (N)", "Energy (mJ)")
     ]
     assert figure.get_figwidth() == figures.DOUBLE_COLUMN
 
@@ -93,6 +105,6 @@ def test_what_cannot_be_drawn(draw, message, history):
 
 def test_a_step_that_failed_is_not_drawn(history):
     failed = jax.tree.map(lambda x: x * np.nan if np.issubdtype(x.dtype, np.inexact) else x, history)
-    for draw in (figures.draw_loop, lambda it: figures.draw_history_along(BODY, it)):
+    for draw in (figures.draw_loop, figures.draw_energy, lambda it: figures.draw_history_along(BODY, it)):
         with pytest.raises(cddf.InputError, match="a step of the trace failed"):
             draw(failed)

@@ -290,6 +290,17 @@ def pulled(table, mu):
     return table["weight"] * np.exp(mu * table["wrap_angle"])
 
 
+def test_the_residuals_against_normal_quantiles(drum, pulley):
+    residual = pulley["pulling_tension"] - pulled(pulley, drum.value["friction_coefficient"])
+    predicted = pulled(pulley, drum.value["friction_coefficient"])
+    standardised = residual / np.hypot(0.1, 0.01 * predicted)
+    (axes,) = fit_figures.residuals_figure(drum).axes
+    quantile, shown = line_of(axes, "data")
+    np.testing.assert_allclose(shown, np.sort(standardised), rtol=1e-5, atol=1e-6)
+    assert np.corrcoef(quantile, shown)[0, 1] > 0.95
+    assert texts(axes) == ["30 residuals"]
+
+
 def test_the_profile_is_the_sum_of_squares(drum, drum_report, pulley):
     """One parameter and noise that is held: the profile is the sum of squares itself."""
     (axes,) = fit_figures.profiles_figure(drum, drum_report.profiles).axes

@@ -18,9 +18,11 @@ from .fit import (
     draw_profile as draw_profile,
     draw_residuals as draw_residuals,
     profiles_figure as profiles_figure,
+    residuals_figure as residuals_figure,
     table_figures as table_figures,
 )
 from .history import (
+    draw_energy as draw_energy,
     draw_history_along as draw_history_along,
     draw_loop as draw_loop,
     history_figure as history_figure,
@@ -33,4 +35,4 @@ from .style import (
     render as render,
 )
 from .sweeps import draw_lines as draw_lines, draw_map as draw_map, sweep_figure as sweep_figure
-from .workspace import draw_workspace as draw_workspace
+from .workspace import draw_workspace as draw_workspace, workspace_figure as workspace_figure

@@ -23,7 +23,7 @@ LONGEST = 1 / 7  # of the body's length
 def equilibrium_figure(manipulator: Manipulator, equilibrium: Equilibrium, loads: Loads | None = None) -> Figure:
     """Body, tendons and loads on the left, with the tension as colour; tension over arc length on the right.
 
-    In space the curvature over arc length stands there too.
+    In space the curvature over arc length stands there too, and three plane views below.
 
     Args:
         manipulator, equilibrium, loads: as in `draw_shape`.
@@ -38,11 +38,14 @@ def equilibrium_figure(manipulator: Manipulator, equilibrium: Equilibrium, loads
             draw_shape(manipulator, equilibrium, loads, shape)
             figure.set_figheight(_fitting_height(shape, 3.6))
         else:
+            what = _drawn(manipulator, equilibrium, loads)
             rows = -(-manipulator.num_tendons // 3)  # of the legend
-            figure = draw.new_figure(draw.DOUBLE_COLUMN, 3.2 + 0.16 * rows)
-            grid = figure.add_gridspec(2, 2, width_ratios=(1.4, 1))
-            draw_shape(manipulator, equilibrium, loads, figure.add_subplot(grid[:, 0], projection="3d"))
-            tension, curvature = (figure.add_subplot(grid[row, 1]) for row in (0, 1))
+            figure, above = space.figure_with_views(
+                3.2 + 0.16 * rows, what.points, lambda axes, plane: space.draw_view(axes, what, plane)
+            )
+            grid = above.add_gridspec(2, 2, width_ratios=(1.4, 1))
+            space.draw_scene(what, above.add_subplot(grid[:, 0], projection="3d"))
+            tension, curvature = (above.add_subplot(grid[row, 1]) for row in (0, 1))
             draw_along(manipulator, equilibrium, "curvature", curvature)
         draw_along(manipulator, equilibrium, "tension", tension)
     return figure
@@ -54,7 +57,7 @@ def draw_shape(
     """The bent body to scale, mm: wall, bore, clamp, and tendons coloured by their tension, N.
 
     The rest shape is dotted. Tendons end in a dot where they are anchored; several tendons are numbered. Arrows of
-    loads at the tip all have the same length: the legend gives their magnitudes, and the components of
+    loads at the tip all have the same length: the legend gives their magnitudes, and magnitude and direction of
     gravity. The colour scale is beside the axes.
 
     A body in space is drawn in three dimensions, with shadows on the walls. Tendons are dashed where the body hides
@@ -89,7 +92,7 @@ def draw_shape(
             for arrow in arrows:
                 axes.update_datalim(arrow[:, :2])
                 axes.add_patch(FancyArrowPatch(path=Path(arrow[:, :2]), color=color, fill=True, **look))
-        draw.legend_of_loads(axes, what.loads)
+        draw.legend_of_loads(axes, what.loads, in_space=False)
         draw.scale_beside(axes, norm, "$T$ (N)")
         axes.set(xlabel="$X$ (mm)", ylabel="$Y$ (mm)")
         axes.margins(0.08)

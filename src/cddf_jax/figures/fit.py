@@ -1,7 +1,8 @@
-"""The figures of a fit: data and model, residuals over what was set, and profiles."""
+"""The figures of a fit: data and model, residuals over what was set and against normal quantiles, and profiles."""
 
 import re
 from collections.abc import Mapping, Sequence
+from textwrap import fill
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +10,7 @@ from jaxtyping import ArrayLike
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
+from scipy.special import betaincinv, ndtri
 
 from ..errors import InputError
 from ..estimation.determination import AT_BOUND, NOT_IDENTIFIED
@@ -202,6 +204,28 @@ def _the_one(who: str, what: str, given: str | None, there: list[str]) -> str:
     if given not in there:
         raise InputError(f"{who}: {what} must be one of {', '.join(there)}; got {given!r}")
     return given
+
+
+# --- residuals -----------------------------------------------------------------------------------
+
+
+def residuals_figure(fit: Fit) -> Figure:
+    """Residuals over their noise against normal quantiles, one panel for each group of data."""
+    return draw.panels_figure(_draw_quantiles, list(fit.standardised_residuals.items()), PANEL_HEIGHT)
+
+
+def _draw_quantiles(axes: Axes, group: tuple[str, np.ndarray]) -> None:
+    """Sorted residuals, the line of normal residuals, and the band that holds 95 % of normal draws at each place."""
+    name, residual = group
+    count, rank = residual.size, np.arange(1, residual.size + 1)
+    quantile = ndtri((rank - 0.375) / (count + 0.25))
+    lower, upper = (ndtri(betaincinv(rank, count + 1 - rank, level)) for level in (0.025, 0.975))
+    draw.draw_band(axes, quantile, lower, upper, label="95 % of normal draws")
+    axes.plot(quantile, quantile, color=looks.BLUE, label="normal")
+    axes.plot(quantile, np.sort(residual), "o", color=looks.BLACK, markerfacecolor="none", markersize=2.8, label="data")
+    axes.text(0.04, 0.96, f"{count} residuals", transform=axes.transAxes, va="top")
+    axes.set(xlabel="Normal quantile", ylabel="Residual / noise")
+    axes.set_title(fill(name, 44), parse_math=False)  # dollar signs of a file name are no formula
 
 
 # --- readings by level ---------------------------------------------------------------------------

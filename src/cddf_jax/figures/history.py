@@ -1,4 +1,4 @@
-"""Figures of a history: loops over the base tension, and lines along the body."""
+"""Figures of a history: loops over the base tension, lines along the body, and where the work goes."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -30,9 +30,7 @@ RELEASED: looks.Look = {"color": looks.VERMILION, "linestyle": (0, (5, 2)), "lab
 def history_figure(
     manipulator: Manipulator, history: History, steps: Sequence[int] | None = None, *, tendon: int = 0
 ) -> Figure:
-    """Loops of tip tension, tip angle and displacement, and tension along the body, with one numbering of steps.
-
-    The loop of the displacement encloses the work that is lost to friction.
+    """Loops of tip tension and tip angle, tension along the body, and where the work goes, with one numbering of steps.
 
     Args:
         manipulator: the body that was traced.
@@ -43,13 +41,12 @@ def history_figure(
     """
     steps = _steps(history, steps, tendon)
     with draw.house_style():
-        figure, (tension, angle, displacement, along) = draw.panel_axes(4, HEIGHT)
-        loops = {"tip_tension": tension, "tip_angle": angle, "tendon_displacement": displacement}
-        for quantity, axes in loops.items():
-            draw_loop(history, quantity, axes, steps=steps, tendon=tendon)
+        figure, (tension, angle, along, energy) = draw.panel_axes(4, HEIGHT)
+        draw_loop(history, "tip_tension", tension, steps=steps, tendon=tendon)
+        draw_loop(history, "tip_angle", angle, steps=steps, tendon=tendon)
         draw_history_along(manipulator, history, "tension", along, steps=steps, tendon=tendon)
-        for axes in (angle, displacement):
-            axes.legend().remove()
+        draw_energy(history, energy, steps=steps, tendon=tendon)
+        angle.legend().remove()
         figure.align_ylabels()
     return figure
 
@@ -135,6 +132,40 @@ def draw_history_along(
         axes.set_xlim(0.0, 1e3 * s[-1])
         axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
         draw.legend_above(axes, 4)
+    return axes
+
+
+def draw_energy(
+    history: History, axes: Axes | None = None, *, steps: Sequence[int] | None = None, tendon: int = 0
+) -> Axes:
+    """Where the work goes, mJ, over the steps: energy stored, energy lost to friction, and the work put in.
+
+    In the exact kinematics the work is the sum of the other two.
+
+    Args:
+        history, axes, steps: as in `draw_loop`.
+        tendon: whose base tensions stand below the steps, from 0.
+
+    Raises:
+        InputError: when a step failed.
+    """
+    steps = _steps(history, steps, tendon)
+    of, scale = history._energies, QUANTITIES["work"].shown[0]  # all by one program
+    work, lost, stored = (scale * np.asarray(energy) for energy in (of.work, of.friction_loss, of.stored_energy))
+    at = np.interp(np.arange(len(work)), steps, np.arange(1, len(steps) + 1))
+    with draw.axes_or_new(axes, HEIGHT) as axes:
+        look = {"facecolor": looks.YELLOW, "edgecolor": looks.GREY, "hatch": "/////", "linewidth": 0}
+        axes.fill_between(at, 0.0, stored, facecolor=looks.SKY, linewidth=0, label="stored in the body")
+        axes.fill_between(at, stored, stored + lost, label="lost to friction", **look)
+        axes.plot(at, stored, color=looks.BLUE, linestyle="--")
+        axes.plot(at, work, color=looks.BLACK, label="work put in")
+        axes.set(xlabel="Step, base tension (N)", ylabel="Energy (mJ)")
+        axes.margins(0.0, 0.05)
+        axes.set_ylim(bottom=min(0.0, *stored, *work))
+        tensions = _of_tendon(history.base_tension, tendon)[steps]
+        named = np.arange(0, len(steps), -(-len(steps) // NUMBERED))
+        axes.set_xticks(named + 1, [f"{i + 1}\n{tensions[i]:.4g}" for i in named])
+        draw.legend_above(axes, 3)
     return axes
 
 

@@ -1,11 +1,13 @@
-"""The bent body in space, mm: a scene in three dimensions with shadows on the walls."""
+"""The bent body in space, mm: a scene in three dimensions with shadows on the walls, and three plane views."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import cast
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
 from matplotlib.colors import Normalize
+from matplotlib.figure import Figure, SubFigure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
@@ -15,9 +17,15 @@ from mpl_toolkits.mplot3d.axis3d import Axis
 from . import looks, style as draw
 from .geometry import AZIMUTH, ELEVATION, Body, Drawn
 
+# by the name of a plane: the coordinates to the right and up, and the one that points to the reader
+VIEWS = {"XY": (0, 1, 2), "XZ": (0, 2, 1), "YZ": (1, 2, 0)}
+TOWARDS = {"XY": (0.0, 0.0, 1.0), "XZ": (0.0, -1.0, 0.0), "YZ": (1.0, 0.0, 0.0)}
 HEIGHT = 2.8  # inches, of a scene as wide as a column
 LEAST = 0.6  # of the longest edge of a scene: its other edges, so that numbers and names have room at all of them
 LIGHT = np.array([0.25, -0.45, 0.86])  # from where light falls on a body
+
+
+# --- in three dimensions -------------------------------------------------------------------------
 
 
 def sight() -> np.ndarray:
@@ -67,7 +75,7 @@ def draw_scene(what: Drawn, axes: Axes, before: np.ndarray | None = None) -> Non
         x, y, z = (what.plate + 0.04 * what.length) * path[0] / np.linalg.norm(path[0])
         text = scene.text(x, y, z, str(i), ha="center", va="center", fontsize=7.5, zorder=8)
         text.set_path_effects([withStroke(linewidth=1.5, foreground="white")])
-    _draw_tendons(scene, what, norm)
+    _draw_tendons(scene, what, norm, sight(), [0, 1, 2])
     if before is not None:
         scene.plot(*before.T, color=looks.GREY, linewidth=0.9, linestyle=(0, (4, 2)), zorder=8)
     for arrows, color in ((what.force_arrows, looks.VERMILION), (what.moment_arrows, looks.PURPLE)):
@@ -77,17 +85,17 @@ def draw_scene(what: Drawn, axes: Axes, before: np.ndarray | None = None) -> Non
             head = float(0.05 * what.length / np.linalg.norm(end - start))  # of its last piece
             scene.quiver(*start, *(end - start), arrow_length_ratio=head, **look)
     draw.scale_beside(scene, norm, "$T$ (N)")
-    draw.legend_of_loads(scene, what.loads)
+    draw.legend_of_loads(scene, what.loads, in_space=True)
 
 
-def _draw_tendons(axes: Axes, what: Drawn, norm: Normalize) -> None:
-    """The tendons, dashed where the body hides them."""
+def _draw_tendons(axes: Axes, what: Drawn, norm: Normalize, sight: np.ndarray, shown: list[int]) -> None:
+    """The tendons in some of the three coordinates, dashed where the body hides them from the direction `sight`."""
     for path, tension, anchor in zip(what.tendons, what.tension, what.anchors, strict=True):
-        hidden = what.body.is_hidden(path, sight())
+        line, hidden = path[:, shown], what.body.is_hidden(path, sight)
         dashes = np.where(hidden, _dashed(path, tension), np.nan)
-        draw.draw_coloured_line(axes, path, np.where(hidden, np.nan, tension), norm, 6.0)
-        draw.draw_coloured_line(axes, path, dashes, norm, 5.0, rim=False)
-        axes.plot(*anchor, "o", color=looks.BLACK, markersize=2.3, zorder=7)
+        draw.draw_coloured_line(axes, line, np.where(hidden, np.nan, tension), norm, 6.0)
+        draw.draw_coloured_line(axes, line, dashes, norm, 5.0, rim=False)
+        axes.plot(*anchor[shown], "o", color=looks.BLACK, markersize=2.3, zorder=7)
 
 
 def silhouette(body: Body, plane: Sequence[int]) -> list[np.ndarray]:
@@ -108,8 +116,8 @@ def shadows(axes: Axes3D, body: Body) -> list[np.ndarray]:
     """The polygons (corners, 3) of a body's shadows on the three walls behind it."""
     return [
         np.insert(flat, across, walls_behind(axes)[across], axis=1)
-        for across in range(3)
-        for flat in silhouette(body, [i for i in range(3) if i != across])
+        for right, up, across in VIEWS.values()
+        for flat in silhouette(body, (right, up))
     ]
 
 
@@ -132,3 +140,45 @@ def _dashed(path: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Values along a line, NaN in the gaps between dashes of a 48th of its length."""
     way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(np.nan_to_num(path), axis=0), axis=1)))
     return np.where((way * 48 / way[-1]).astype(int) % 2 == 0, values, np.nan)
+
+
+# --- in a plane ----------------------------------------------------------------------------------
+
+
+def draw_view(axes: Axes, what: Drawn, plane: str) -> None:
+    """Body, tendons and loads as seen along the third axis, to scale."""
+    right, up, _ = VIEWS[plane]
+    flat, polygons = [right, up], silhouette(what.body, VIEWS[plane][:2])
+    for color, width in ((looks.GREY, 1.2), (looks.PALE, 0.3)):  # the rim, and over it the body
+        axes.add_collection(PolyCollection(polygons, facecolor=color, edgecolor=color, linewidth=width, zorder=1.5))
+    axes.plot(*what.straight.midline[:, flat].T, color=looks.GREY, linewidth=0.6, linestyle=(0, (1, 2)), zorder=1)
+    axes.plot(*what.plate_edge[:, flat].T, color=looks.BLACK, linewidth=1.0 if right == 0 else 0.6, zorder=1)
+    _draw_tendons(axes, what, draw.tension_scale(what.tension), np.array(TOWARDS[plane]), flat)
+    for arrows, color in ((what.force_arrows, looks.VERMILION), (what.moment_arrows, looks.PURPLE)):
+        for arrow in arrows:
+            axes.plot(*arrow[:, flat].T, color=color, linewidth=1.2, zorder=6)
+            draw.draw_head(axes, arrow[-2, flat], arrow[-1, flat], color)
+    axes.set(xlabel=f"${plane[0]}$ (mm)", ylabel=f"${plane[1]}$ (mm)")
+
+
+def figure_with_views(
+    height: float, points: np.ndarray, draw_into: Callable[[Axes, str], None]
+) -> tuple[Figure, SubFigure]:
+    """A figure of two columns of a page with three plane views of points, mm, to one scale at its foot.
+
+    `draw_into` draws into the axes of a plane. The second figure is the room above the views, of a height in inches.
+    """
+    figure = draw.new_figure(draw.DOUBLE_COLUMN, height + 1.9)
+    above, below = cast(Sequence[SubFigure], figure.subfigures(2, 1, height_ratios=(height, 1.9)))
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = 0.05 * np.max(high - low)
+    low, high = low - margin, high + margin
+    middle, half = 0.5 * (low + high), 0.5 * np.max((high - low)[1:])  # all views are as high as the highest
+    views = below.subplots(1, 3, width_ratios=[high[right] - low[right] for right, _, _ in VIEWS.values()])
+    for axes, (plane, (right, up, _)) in zip(views, VIEWS.items(), strict=True):
+        draw_into(axes, plane)
+        axes.set(xlim=(low[right], high[right]), ylim=(middle[up] - half, middle[up] + half), aspect="equal")
+        for axis, place in ((axes.xaxis, right), (axes.yaxis, up)):
+            count = max(1, round(4 * (high - low)[place] / np.max(high - low)))
+            axis.set_major_locator(MaxNLocator(count, steps=[1, 2, 5, 10], min_n_ticks=1))
+    return figure, above

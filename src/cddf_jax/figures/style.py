@@ -16,6 +16,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure, FigureBase
 from matplotlib.lines import Line2D
+from matplotlib.markers import MarkerStyle
 from matplotlib.patches import Rectangle
 from matplotlib.style import context
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
@@ -122,29 +123,33 @@ def legend_above(axes: Axes, columns: int = 2) -> None:
         axes.legend(found.values(), found.keys(), ncols=min(columns, len(found)), **look)
 
 
-def legend_of_loads(axes: Axes, loads: Loads) -> None:
-    """The size of each load, of three components, beside its arrow; gravity, which has none, by its components."""
+def legend_of_loads(axes: Axes, loads: Loads, *, in_space: bool) -> None:
+    """The size of each load, of three components, by its arrow; in space numbers tell the way of gravity."""
 
     def size(vector: ArrayLike) -> str:
         return f"{np.linalg.norm(np.asarray(vector)):.3g}"
 
-    components = np.asarray(loads.gravity)[: 3 if isinstance(axes, Axes3D) else 2]
-    gravity = ", ".join(f"{x:.3g}" for x in components).replace("-", "\N{MINUS SIGN}")
-    force, moment = r"$\rightarrow$", r"$\curvearrowleft$"
+    way = f"({', '.join(f'{x:.3g}' for x in np.asarray(loads.gravity))})".replace("-", "\N{MINUS SIGN}")
+    gravity = way if in_space else size(loads.gravity)
     entries = [
-        (loads.tip_force, f"$F$ = {size(loads.tip_force)} N", force, VERMILION),
-        (loads.tip_moment, f"$m$ = {size(loads.tip_moment)} N m", moment, PURPLE),
-        (loads.gravity, f"$g$ = ({gravity}) m/s$^2$", force, BLACK),
+        (loads.tip_force, f"$F$ = {size(loads.tip_force)} N", VERMILION),
+        (loads.tip_moment, f"$m$ = {size(loads.tip_moment)} N m", PURPLE),
+        (loads.gravity, f"$g$ = {gravity} m/s$^2$", BLACK),
     ]
     for point in loads.points:
         place = f"at {1e3 * float(point.arc_length):.3g} mm"
-        entries.append((point.force, f"{size(point.force)} N {place}", force, VERMILION))
-        entries.append((point.moment, f"{size(point.moment)} N m {place}", moment, PURPLE))
-    look: Look = {"linestyle": "none", "markersize": 9}
-    handles = [Line2D([], [], marker=m, color=c, label=label, **look) for load, label, m, c in entries if np.any(load)]
+        entries.append((point.force, f"{size(point.force)} N {place}", VERMILION))
+        entries.append((point.moment, f"{size(point.moment)} N m {place}", PURPLE))
+    handles = []
+    for load, label, color in entries:
+        x, y, turn = np.asarray(load)
+        marker = MarkerStyle(r"$\rightarrow$").rotated(rad=0.0 if in_space else float(np.arctan2(y, x)))
+        if color == PURPLE:
+            marker = r"$\curvearrowright$" if turn < 0 else r"$\curvearrowleft$"
+        if np.any(load):
+            handles.append(Line2D([], [], marker=marker, color=color, linestyle="none", markersize=9, label=label))
     if handles:
-        place = "upper left" if isinstance(axes, Axes3D) else "best"
-        axes.legend(handles=handles, loc=place, columnspacing=1.2, handletextpad=0.3)
+        axes.legend(handles=handles, loc="upper left" if in_space else "best", columnspacing=1.2, handletextpad=0.3)
 
 
 def common_legend(figure: Figure, panels: Sequence[Axes]) -> None:

@@ -177,6 +177,8 @@ def report_figures(results: FitResults) -> "dict[str, Figure]":
     """The figures by file name; `left_out` says why others are missing."""
     fit, missing = results.fit, left_out(results)
     drawn = figures.table_figures(fit)
+    if "residuals" not in missing:
+        drawn["residuals"] = figures.residuals_figure(fit)
     if "profiles" not in missing:
         drawn["profiles"] = figures.profiles_figure(fit, results.profiles)
     return drawn
@@ -186,6 +188,8 @@ def left_out(results: FitResults) -> dict[str, str]:
     """The reasons for missing figures, by name."""
     fit = results.fit
     reasons = tables_without_numbers(fit)
+    if not all(np.all(np.isfinite(residual)) for residual in fit.residuals.values()):
+        reasons["residuals"] = "the model gave no numbers for some rows"
     if not results.profiles:
         reasons["profiles"] = "none were asked for" if fit.success else f"the fit failed: {fit.result}"
     return reasons
