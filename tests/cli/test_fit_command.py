@@ -78,7 +78,6 @@ def test_options_of_a_fit(answer_of):
         "short_steps": 4,
         "leave_out": {},
         "per_trial": False,
-        "loss": "linear",
         "starts": None,
         "seed": 0,
         "nodes": 16,
