@@ -82,8 +82,8 @@ def said(monkeypatch):
             super().append(stage)
 
     class Recorded(progress.Stages):
-        def __init__(self, screen):
-            super().__init__(screen)
+        def __init__(self, write):
+            super().__init__(write)
             self.now = Recording()
 
     monkeypatch.setattr(progress, "PATIENCE", float("inf"))

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from cddf_jax.progress import SHOWN, Log, Stages, each, stage
+from cddf_jax.progress import SHOWN, Stages, each, stage
 
 
 class Clock:
@@ -34,7 +34,7 @@ def lines():
 @pytest.fixture
 def shown(clock, lines):
     """Stages shown as lines of a log."""
-    stages = Stages(Log(lines.append), clock)
+    stages = Stages(lines.append, clock)
     before = SHOWN.set(stages)
     yield stages
     SHOWN.reset(before)
@@ -103,7 +103,7 @@ def test_progress_goes_to_standard_error():
         "    for what in ('loading', 'searching'):\n"
         "        shown = progress.SHOWN.get()\n"
         "        with progress.stage(what):\n"
-        "            while shown and shown.screen.last != what:\n"
+        "            while shown and shown.last != what:\n"
         "                time.sleep(0.001)\n"
         "work()\n"
         "with cddf.show_progress(): work()\n"

@@ -38,32 +38,21 @@ class Stage:
         return f"{words}{speed}, {timedelta(seconds=round((self.total - self.done) / rate))} left"
 
 
-class Log:
-    """Lines of text about stages that take long; the longer they take, the more time between two lines."""
-
-    def __init__(self, write: Callable[[str], object]):
-        self.write, self.next, self.last = write, PATIENCE, ""
-
-    def show(self, words: str, seconds: float) -> None:
-        """Show what is being done, and how long all has taken."""
-        if seconds >= self.next and words != self.last:
-            self.write(f"{seconds:.0f} s: {words}\n")
-            self.next, self.last = seconds + max(PATIENCE, RARER * seconds), words
-
-
 class Stages:
-    """The present stages, the outermost first; `look` shows them. Between stages nothing is shown."""
+    """The present stages, the outermost first. `look` writes lines about those that take long, ever more rarely."""
 
-    def __init__(self, screen: Log, clock: Callable[[], float] = time.monotonic):
-        self.screen, self.clock, self.begun = screen, clock, clock()
+    def __init__(self, write: Callable[[str], object], clock: Callable[[], float] = time.monotonic):
+        self.write, self.clock, self.begun = write, clock, clock()
+        self.next, self.last = PATIENCE, ""
         self.lock = threading.Lock()
         self.now: list[Stage] = []
 
     def look(self) -> None:
         with self.lock:
-            if self.now:
-                now = self.clock()
-                self.screen.show(": ".join(stage.in_words(now) for stage in self.now), now - self.begun)
+            words, seconds = ": ".join(stage.in_words(self.clock()) for stage in self.now), self.clock() - self.begun
+            if words and seconds >= self.next and words != self.last:
+                self.write(f"{seconds:.0f} s: {words}\n")
+                self.next, self.last = seconds + max(PATIENCE, RARER * seconds), words
 
     def end(self, stage: Stage) -> None:
         with self.lock:
@@ -104,7 +93,7 @@ def show_progress() -> Iterator[None]:
     Nothing is shown in the first 2 s. Then each stage that takes long has a line, with the time so far. Work of other
     threads is not shown.
     """
-    shown = Stages(Log(lambda line: print(line, end="", file=sys.stderr, flush=True)))
+    shown = Stages(lambda line: print(line, end="", file=sys.stderr, flush=True))
     ended = threading.Event()
 
     def watch() -> None:

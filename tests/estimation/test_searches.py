@@ -9,7 +9,7 @@ from cddf_jax.estimation import levenberg_marquardt, restarts
 from cddf_jax.estimation.least_squares import least_squares_fit
 from cddf_jax.estimation.levenberg_marquardt import Watch
 from cddf_jax.estimation.whole_search import INTERRUPTED
-from cddf_jax.progress import SHOWN, Log, Stages
+from cddf_jax.progress import SHOWN, Stages
 
 X = np.linspace(0.0, 3.0, 12)
 TRUE = {"height": 2.0, "rate": 0.7}
@@ -71,7 +71,7 @@ def test_progress_tells_step_misfit_and_estimates():
     ratio = np.linalg.norm(fit.residuals) / np.linalg.norm(DATA - DATA.mean())
     found = f"misfit {100 * ratio:.3g} % (data), height {fit.value['height']:.4g}, rate {fit.value['rate']:.4g}"
     assert fit.minimum.in_words == f"step {fit.num_steps}, {found}"
-    said, shown = [], Stages(Log(lambda _: None))
+    said, shown = [], Stages(lambda _: None)
     before = SHOWN.set(shown)
     shown.look = lambda: said.append(shown.now[-1].what)
     with pytest.MonkeyPatch.context() as patch:

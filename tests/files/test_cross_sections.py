@@ -114,15 +114,14 @@ def test_every_table_is_passed_and_nothing_lies_beyond_neighbouring_points(table
 
 
 def test_a_smooth_curve_that_swings_between_the_points_is_not_taken():
-    """SciPy's cubic spline through the same points leaves their range by what is said."""
+    """The cubic spline through six even knots that passes the points leaves their range by far more than 1 um."""
     s, values = 1e-3 * np.array([0, 60, 70, 130, 140, 200.0]), 1e-3 * np.array([2, 2, 1.8, 1.8, 1.6, 1.6])
     read = taken(s, values, 1e-6)
     assert type(read.profile) is Polyline
     np.testing.assert_allclose(read.profile(S), np.interp(S, s, values), rtol=1e-12)
     swing = np.max(CubicSpline(np.linspace(0, 0.2, 6), _through(s, values))(np.linspace(0, 0.06, 60001))) - 2e-3
     assert read.words == "straight lines through 6 points"
-    told = f"a smooth curve would leave the range of neighbouring points by {1e3 * swing:.3g} mm at s = "
-    assert read.reason.startswith(told)
+    assert swing > 1e-5
 
 
 def _through(s, values):
@@ -191,7 +190,7 @@ def test_an_offset_that_zigzags_is_said(tmp_path):
     said = str(cddf.read_cross_sections(path).columns[2])
     assert f"whose kinks turn the tendon by {turned:.3g} deg in all" in said
     assert "they zigzag, and every turn adds friction: a larger tolerance removes noise" in said
-    assert cddf.read_cross_sections(path, tolerance=2e-5).columns[2].taken == "constant 10 mm"
+    assert cddf.read_cross_sections(path, tolerance=2e-5).columns[2].words == "constant 10 mm"
 
 
 @pytest.fixture
@@ -208,7 +207,7 @@ def stepped_robot(tmp_path):
 
 def test_what_was_read_is_said_by_column_and_in_one_line(stepped_robot):
     outer, inner, offset = columns = read_robot_file(stepped_robot).columns
-    assert str(outer).startswith("outer_radius: straight lines through 6 points (a smooth curve would leave the range")
+    assert str(outer) == "outer_radius: straight lines through 6 points"
     assert (str(inner), str(offset)) == ("inner_radius: constant 0 mm", "offset_1: constant 6 mm")
     np.testing.assert_array_equal(outer.arc_length, 1e-3 * np.array([0, 60, 70, 130, 140, 200.0]))
     assert in_one_line(columns) == f"cross-sections: {outer}; {inner}; {offset}"

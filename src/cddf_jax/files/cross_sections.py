@@ -39,19 +39,13 @@ _OFFSET = re.compile("offset(_[1-9][0-9]*)?")
 
 
 class SectionColumn(NamedTuple):
-    """A column of a table of cross-sections as it was read; `print` says which profile was taken, and why."""
+    """A column of a table of cross-sections as it was read; `print` says which profile was taken."""
 
     name: str
     arc_length: np.ndarray  # m, of the points in the table
     values: np.ndarray  # m, radii, or distances of a tendon from the neutral axis
     profile: Profile
-    taken: str  # the profile in words
-    reason: str  # why it is not a smooth curve; "" without a reason
-
-    @property
-    def words(self) -> str:
-        """The profile that was taken, and why."""
-        return f"{self.taken} ({self.reason})" if self.reason else self.taken
+    words: str  # the profile that was taken
 
     def __str__(self) -> str:
         return f"{self.name}: {self.words}"
@@ -77,7 +71,7 @@ def read_cross_sections(path: str | os.PathLike[str], *, tolerance: float = TOLE
 
     Each column becomes the simplest profile that passes every point at `tolerance` or less: a number, a straight
     line, a cubic spline of few knots that stays between neighbouring points, or straight lines from point to point.
-    `columns` says which, and why.
+    `columns` says which.
 
     Args:
         path: the file.
@@ -176,10 +170,9 @@ def _with_kinks(offset: SectionColumn) -> SectionColumn:
     s, d = np.asarray(offset.profile.arc_length), np.asarray(offset.profile.values)
     angle = np.arctan(np.diff(d) / np.diff(s))
     turned = np.sum(np.abs(np.diff(angle)))
-    taken = f"{offset.taken}, whose kinks turn the tendon by {np.degrees(turned):.3g} deg in all"
+    words = f"{offset.words}, whose kinks turn the tendon by {np.degrees(turned):.3g} deg in all"
     zigzag = "they zigzag, and every turn adds friction: a larger tolerance removes noise"
-    reason = f"{offset.reason}; {zigzag}" if turned > ZIGZAG * np.ptp(angle) else offset.reason
-    return offset._replace(taken=taken, reason=reason)
+    return offset._replace(words=f"{words} ({zigzag})" if turned > ZIGZAG * np.ptp(angle) else words)
 
 
 def _arc_length(s: np.ndarray, rows: list[int]) -> np.ndarray:

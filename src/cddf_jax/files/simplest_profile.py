@@ -19,11 +19,10 @@ BETWEEN = 257  # places between two points at which a smooth curve is looked at
 
 
 class Taken(NamedTuple):
-    """The profile that was taken, its description, and why it is not a smooth curve."""
+    """The profile that was taken, and its description."""
 
     profile: Profile
     words: str
-    reason: str = ""
 
 
 def simplest_profile(arc_length: np.ndarray, values: np.ndarray, tolerance: float, name: str) -> Taken:
@@ -45,8 +44,7 @@ def simplest_profile(arc_length: np.ndarray, values: np.ndarray, tolerance: floa
         return pieces[0]
     profile = Piecewise([float(s[-1]) for s, _ in parts[:-1]], [piece.profile for piece in pieces])
     words = ", ".join(piece.words for piece in pieces)
-    reasons = dict.fromkeys(piece.reason for piece in pieces if piece.reason)
-    return Taken(profile, f"{len(pieces)} pieces that meet in steps: {words}", "; ".join(reasons))
+    return Taken(profile, f"{len(pieces)} pieces that meet in steps: {words}")
 
 
 def _between_steps(s: np.ndarray, values: np.ndarray, tolerance: float) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -76,7 +74,7 @@ def _straight(s: np.ndarray, values: np.ndarray, tolerance: float) -> Taken | No
 def _curved(s: np.ndarray, values: np.ndarray, tolerance: float, name: str) -> Taken:
     """A spline or a chain of straight lines."""
     corners = _corners(s, values, tolerance)
-    spline, reason = _spline(s, values, tolerance, len(corners))
+    spline = _spline(s, values, tolerance, len(corners))
     if spline is not None:
         return Taken(spline, f"a smooth curve, a cubic spline of {len(spline.values)} knots")
     if len(corners) > MOST_LINES + 1:
@@ -86,7 +84,7 @@ def _curved(s: np.ndarray, values: np.ndarray, tolerance: float, name: str) -> T
         )
     of_all = "" if len(corners) == len(s) else f" of {len(s)}"
     words = f"straight lines through {len(corners)}{of_all} points"
-    return Taken(Piecewise.linear(s[corners], values[corners]), words, reason)
+    return Taken(Piecewise.linear(s[corners], values[corners]), words)
 
 
 def _corners(s: np.ndarray, values: np.ndarray, tolerance: float) -> list[int]:
@@ -103,41 +101,27 @@ def _corners(s: np.ndarray, values: np.ndarray, tolerance: float) -> list[int]:
 # --- smooth curves -------------------------------------------------------------------------------
 
 
-def _spline(s: np.ndarray, values: np.ndarray, tolerance: float, most: int) -> tuple[Spline | None, str]:
-    """The least-squares spline with the fewest evenly spaced knots that suffice; None and the reason if none does."""
+def _spline(s: np.ndarray, values: np.ndarray, tolerance: float, most: int) -> Spline | None:
+    """The least-squares spline with the fewest evenly spaced knots that suffice; None if none does."""
     from scipy.interpolate import make_lsq_spline
 
-    if len(s) < 4:
-        return None, "a smooth curve needs four points"
-    limit = min(MOST_KNOTS, len(s))
-    reason = f"no smooth curve of up to {limit} knots passes the points at {shown(tolerance, 'length')}"
-    reason = reason if most >= limit else "they take fewer numbers than a smooth curve"
-    for knots in range(4, min(limit, most) + 1):
+    for knots in range(4, min(MOST_KNOTS, len(s), most) + 1):
         at = np.linspace(s[0], s[-1], knots)
         every = np.concatenate([[s[0]] * 4, at[2:-2], [s[-1]] * 4])  # not-a-knot: none at the second and last but one
         try:
             curve = make_lsq_spline(s, values, every)
         except (ValueError, np.linalg.LinAlgError):  # too few points between two knots
-            break
-        if np.max(np.abs(curve(s) - values)) <= tolerance:
-            strays = _strays(curve, s, values, tolerance)
-            if not strays:
-                return Spline(at, curve(at)), ""
-            reason = f"a smooth curve would {strays}"
-    return None, reason
+            return None
+        if np.max(np.abs(curve(s) - values)) <= tolerance and not _strays(curve, s, values, tolerance):
+            return Spline(at, curve(at))
+    return None
 
 
-def _strays(curve: Callable[[np.ndarray], np.ndarray], s: np.ndarray, values: np.ndarray, tolerance: float) -> str:
-    """How a curve leaves the range of two neighbouring points, or turns back between them; "" if it does not."""
+def _strays(curve: Callable[[np.ndarray], np.ndarray], s: np.ndarray, values: np.ndarray, tolerance: float) -> bool:
+    """Whether a curve leaves the range of two neighbouring points, or turns back between them."""
     grid = s[:-1, None] + np.diff(s)[:, None] * np.linspace(0.0, 1.0, BETWEEN)
     height, before, after = curve(grid), values[:-1, None], values[1:, None]
     beyond = np.maximum(np.minimum(before, after) - height, height - np.maximum(before, after))
-    if np.any(beyond > tolerance):
-        worst = np.argmax(beyond)
-        much, where = (shown(float(f"{x.flat[worst]:.3g}"), "length") for x in (beyond, grid))
-        return f"leave the range of neighbouring points by {much} at s = {where}"
     rise = np.sign(after - before) * height
-    back = np.max(np.maximum.accumulate(rise, axis=1) - rise, axis=1)
-    for own in np.flatnonzero(back > 2 * tolerance)[:1]:  # no monotone curve is that near
-        return f"turn back between s = {shown(s[own], 'length')} and {shown(s[own + 1], 'length')}"
-    return ""
+    back = np.maximum.accumulate(rise, axis=1) - rise
+    return bool(np.any(beyond > tolerance) or np.any(back > 2 * tolerance))  # no monotone curve is that near
