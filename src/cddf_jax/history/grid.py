@@ -27,7 +27,7 @@ from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 
 Number = Float[Array, ""]
-STIFFEST = 3e-7  # the least strain of a tendon per tension, over d^2 / (E J), its slip per tension by bending
+STIFFEST = 1e-7  # the least strain of a tendon per tension, over d^2 / (E J), its slip per tension by bending
 
 
 class Goal(NamedTuple):
