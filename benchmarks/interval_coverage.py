@@ -3,8 +3,7 @@
 The experiments are those of data/*_simulated.csv, simulated 1,000 times: a pulley test, then tension pairs of the
 paper's body at 17 levels of 5 to 85 N in six trials. Friction coefficient and modulus are fitted to both tables
 together. The tip tension is the closed form of one tendon. Where friction differs between trials, the first half is
-also fitted with `fit(..., per_trial=True)`. It takes about 15 minutes on a free
-machine; `--experiments 200` takes a fifth of it.
+also fitted with `fit(..., per_trial=True)`. `--experiments 200` takes a fifth of the time.
 """
 
 import argparse

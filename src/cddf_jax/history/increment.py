@@ -113,8 +113,8 @@ def _round(setting: Setting, start: Node, state: _Search) -> _Search:
         nodes, _strain(setting, nodes, elastic), share, elastic, state.rounds + 1, size, state.attempt, done
     )
     attempt = state.attempt + 1
-    firsts = jnp.asarray([elastic for elastic, *_ in tol.ATTEMPTS] + [1.0], least.dtype)
-    first = _elastic(setting, firsts[attempt.astype(int)])
+    starts = jnp.asarray([elastic for elastic, *_ in tol.ATTEMPTS] + [1.0], least.dtype)  # no attempt follows the last
+    first = _elastic(setting, starts[attempt.astype(int)])
     again = _begun(start, _strain(setting, start, first), setting.before.share, first, attempt)
     stuck = ~done & (~all_finite(size) | (state.rounds >= most))
     return jax.tree.map(lambda a, b: jnp.where(stuck, a, b), again, onward)

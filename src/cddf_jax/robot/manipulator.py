@@ -342,11 +342,6 @@ class Manipulator(eqx.Module):
         every = jax.tree.map(lambda *x: jnp.stack([jnp.asarray(one) for one in x]), *own)
         return replace(self, tendons=tuple(jax.tree.map(lambda x, i=i: x[which[i]], every) for i in range(len(which))))
 
-    def without_memory(self) -> "Manipulator":
-        """The same body without this friction."""
-        tendons = tuple(replace(tendon, outside_friction=None, outside_drag=None) for tendon in self.tendons)
-        return replace(self, tendons=tendons, friction_moment=None)
-
     def offset(self, arc_length: Points) -> Float[Array, "tendons *points"]:
         """The offset d of each tendon, m."""
         return jnp.stack([tendon.offset(arc_length) for tendon in self.tendons])
