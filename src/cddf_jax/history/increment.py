@@ -2,9 +2,9 @@
 
 Each tendon obeys Coulomb's law in every element: the jump of its tension is a share z of the limit of friction, between
 -1 and 1, which changes only while the tendon slips, and reaches the ends where it slides. The law is softened by a very
-small elastic slip e: z = x / sqrt(1 + x^2), where x grows by dw / e with the slip dw. Newton's method treats z as an
-unknown of its own (primal-dual), so that it hardly overshoots. Where it does not settle at once with the small e, as at
-a turn, it goes from a large e to the small one (continuation).
+small elastic slip e: z = x / (1 + x^p)^(1/p) with a large even p, where x grows by dw / e with the slip dw. Newton's
+method treats z as an unknown of its own (primal-dual), so that it hardly overshoots. Where it does not
+settle at once with the small e, as at a turn, it goes from a large e to the small one (continuation).
 """
 
 from functools import partial
@@ -33,6 +33,7 @@ class OnGrid(NamedTuple):
     share: PerElement  # z of each element
     converged: Bool[Array, ""]
     held: Float[Array, "K *strains"] | None  # the strains of a body with friction of its own; None without
+    elastic: Number  # the largest elastic slip with which an increment up to here has settled, m
 
 
 class Setting(eqx.Module):
@@ -69,65 +70,73 @@ def after_increment(setting: Setting) -> OnGrid:
 
     Derivatives are those of the equations.
     """
-    nodes, share, converged = _after_increment(setting)
+    nodes, share, converged, elastic = _after_increment(setting)
     held = setting.before.held
     if held is not None:
         held = setting.grid.at_all(nodes, setting.given.force, held)[0]
-    return OnGrid(nodes, share, converged, held)
+    return OnGrid(nodes, share, converged, held, jnp.maximum(setting.before.elastic, elastic))
 
 
 @eqx.filter_custom_jvp
-def _after_increment(setting: Setting) -> tuple[Node, PerElement, Bool[Array, ""]]:
-    zero, before = zero_as(setting), setting.before
-    start, share = varying_as((_with_ends(setting, before.nodes), before.share), zero)
-    sliding_on = _strain_of(share)  # where tendons slide, they are expected to slide on
-    first = _begun(start, sliding_on, share, zero + _elastic(setting, tol.ELASTIC), zero)
+def _after_increment(setting: Setting) -> tuple[Node, PerElement, Bool[Array, ""], Number]:
+    start = varying_as(_with_ends(setting, setting.before.nodes), zero_as(setting))
 
     def unfinished(state: _Search) -> Bool[Array, ""]:
         return ~state.done & (state.attempt < len(tol.ATTEMPTS))
 
-    end = jax.lax.while_loop(unfinished, partial(_round, setting, start), first)
+    end = jax.lax.while_loop(unfinished, partial(_round, setting, start), _begun(setting, start, zero_as(setting)))
     nodes = jax.tree.map(partial(jnp.where, end.done), end.nodes, start)  # finite in either case
-    return nodes, _share(setting, nodes), end.done & before.converged
+    return nodes, _share(setting, nodes, end.elastic), end.done & setting.before.converged, end.elastic
 
 
-def _begun(start: Node, strain: PerElement, share: PerElement, elastic: Number, attempt: Number) -> _Search:
-    none = 0.0 * elastic
-    return _Search(start, strain, share, elastic, none, none + jnp.inf, attempt, none > 0)
+class _Attempt(NamedTuple):
+    """How Newton's method is tried."""
+
+    first: Number  # elastic slip, m
+    last: Number
+    factor: Number  # on the elastic slip
+    rough: Number  # change in a round, below which the elastic slip becomes smaller
+    rounds: Number  # at most
+
+
+def _attempt(setting: Setting, number: Number) -> _Attempt:
+    rows = jnp.asarray(tol.ATTEMPTS, number.dtype)
+    found = _Attempt(*rows[jnp.minimum(number, len(tol.ATTEMPTS) - 1).astype(int)])
+    return found._replace(first=_elastic(setting, found.first), last=_elastic(setting, found.last))
+
+
+def _begun(setting: Setting, start: Node, attempt: Number) -> _Search:
+    """The begin of an attempt, in which tendons that slide are expected to slide on."""
+    none, share = 0.0 * attempt, setting.before.share + 0.0 * attempt
+    first = _attempt(setting, attempt).first
+    return _Search(start, _strain_of(share), share, first, none, none + jnp.inf, attempt, none > 0)
 
 
 def _round(setting: Setting, start: Node, state: _Search) -> _Search:
     """One Newton step; then a smaller elastic slip, or another attempt."""
-    law = _law(setting, state)
+    law, attempt = _law(setting, state), _attempt(setting, state.attempt)
     change = _correction(setting, state.nodes, law, _rows_of_all(setting, state.nodes, law))
     halved = (state.rounds > tol.PATIENCE) & (state.rounds % 3 == 0)  # where steps go round in a circle
     part = jnp.where(halved, 0.5, 1.0)
     nodes = jax.tree.map(lambda x, dx: x + part * dx, state.nodes, change)
     share = jnp.clip(law.level + part * law.slope * change.slip[1:], -1.0, 1.0)
-    least = _elastic(setting, tol.ELASTIC)
-    size, last = _size(setting.grid, nodes, change), state.elastic <= least
-    _, shrink, rough, most = (jnp.asarray(x)[state.attempt.astype(int)] for x in zip(*tol.ATTEMPTS, strict=True))
-    elastic = jnp.maximum(jnp.where(size < rough, shrink, 1.0) * state.elastic, least)
-    done = last & ~halved & (size < jnp.where(state.rounds > tol.PATIENCE, tol.INCREMENT_ROUNDING, tol.INCREMENT))
-    onward = _Search(
-        nodes, _strain(setting, nodes, elastic), share, elastic, state.rounds + 1, size, state.attempt, done
-    )
-    attempt = state.attempt + 1
-    starts = jnp.asarray([elastic for elastic, *_ in tol.ATTEMPTS] + [1.0], least.dtype)  # no attempt follows the last
-    first = _elastic(setting, starts[attempt.astype(int)])
-    again = _begun(start, _strain(setting, start, first), setting.before.share, first, attempt)
-    stuck = ~done & (~all_finite(size) | (state.rounds >= most))
+    size = _size(setting.grid, nodes, change)
+    elastic = jnp.maximum(jnp.where(size < attempt.rough, attempt.factor, 1.0) * state.elastic, attempt.last)
+    done = (state.elastic <= attempt.last) & ~halved & (size < tol.INCREMENT)
+    strain = _strain(setting, nodes, elastic)
+    onward = _Search(nodes, strain, share, elastic, state.rounds + 1, size, state.attempt, done)
+    stuck = ~done & (~all_finite(size) | (state.rounds >= attempt.rounds))
+    again = _begun(setting, start, state.attempt + 1)
     return jax.tree.map(lambda a, b: jnp.where(stuck, a, b), again, onward)
 
 
 @_after_increment.def_jvp
 def _(primals, tangents):
     (setting,), (direction,) = primals, tangents
-    nodes, share, _ = found = checkpoint_name(_after_increment(setting), FOUND)
+    nodes, share, _, least = found = checkpoint_name(_after_increment(setting), FOUND)
     none = jnp.zeros_like(nodes.tension[0, 0])
 
     def law_of(setting: Setting) -> _Law:
-        least = _elastic(setting, tol.ELASTIC)
         strain = _strain(setting, nodes, least)
         law = _law(setting, _Search(nodes, strain, share, least, none, none, none, none > 0))
         return law._replace(slope=jax.lax.stop_gradient(law.slope))  # it only scales what is zero
@@ -138,13 +147,23 @@ def _(primals, tangents):
 
     pushed, moved = slope_along(rows, setting, direction)
     change = jax.tree.map(jnp.add, moved, _correction(setting, nodes, law_of(setting), pushed))
-    shares = slope_along(lambda both: _share(*both), (setting, nodes), (direction, change))
-    return found, (change, shares, None)
+    shares = slope_along(lambda both: _share(*both, least), (setting, nodes), (direction, change))
+    return found, (change, shares, None, 0.0 * least)
 
 
 def _strain_of(share: PerElement) -> PerElement:
-    """x, of z."""
-    return share / jnp.sqrt(jnp.maximum(1.0 - share**2, tol.SLIDING))
+    """x, of z; of a tendon that slid as if it had only just begun to slide, as it need not slide back."""
+    return share / jnp.maximum(1.0 - share**tol.CORNER, tol.SLIDING) ** (1 / tol.CORNER)
+
+
+def _share_of(strain: PerElement) -> PerElement:
+    """z, of x."""
+    return strain / _size_of(strain)
+
+
+def _size_of(strain: PerElement) -> PerElement:
+    """X / z."""
+    return (1.0 + strain**tol.CORNER) ** (1 / tol.CORNER)
 
 
 def _elastic(setting: Setting, part: Number | float) -> Number:
@@ -153,23 +172,22 @@ def _elastic(setting: Setting, part: Number | float) -> Number:
 
 
 def _strain(setting: Setting, nodes: Node, elastic: Number) -> PerElement:
-    """X. What a tendon has slid before, it need not slide back: its x starts from a bound."""
-    before = setting.before
-    start = jnp.clip(_strain_of(before.share), -tol.REMEMBERED, tol.REMEMBERED)
-    return start + (nodes.slip[1:] - before.nodes.slip[1:]) / elastic  # the slip of an element is that before its end
+    """X."""
+    slid = nodes.slip[1:] - setting.before.nodes.slip[1:]  # the slip of an element is that before its end
+    return _strain_of(setting.before.share) + slid / elastic
 
 
 def _law(setting: Setting, state: _Search) -> _Law:
-    size = jnp.sqrt(1.0 + state.strain**2)
-    level = state.strain / size
-    return _Law(level, (1.0 - state.share * level) / (size * state.elastic), state.nodes.slip[1:], state.share)
+    level = _share_of(state.strain)
+    slope = (1.0 - state.share * level ** (tol.CORNER - 1)) / (_size_of(state.strain) * state.elastic)
+    return _Law(level, slope, state.nodes.slip[1:], state.share)
 
 
-def _share(setting: Setting, nodes: Node) -> PerElement:
+def _share(setting: Setting, nodes: Node, elastic: Number) -> PerElement:
     """z; a tendon without tension forgets it."""
-    strain = _strain(setting, nodes, _elastic(setting, tol.ELASTIC))
+    share = _share_of(_strain(setting, nodes, elastic))
     taut = jnp.maximum(nodes.tension[:-1], nodes.tension[1:]) > 0
-    return jnp.where(taut, strain / jnp.sqrt(1.0 + strain**2), 0.0)
+    return jnp.where(taut, share, 0.0)
 
 
 def _with_ends(setting: Setting, nodes: Node) -> Node:

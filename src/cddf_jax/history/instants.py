@@ -39,7 +39,8 @@ def at_rest(grid: Grid) -> Instant:
     nodes = nodes._replace(slip=jnp.concatenate([slip, none[:1]]))
     held = None if grid.manipulator.friction_moment is None else strain
     given = Given(none[0], none[0], None, None, None)
-    instant = Instant(given, OnGrid(nodes, none[1:], jnp.asarray(True), held), none[1:], none[0, 0], none[0, 0])
+    body = OnGrid(nodes, none[1:], jnp.asarray(True), held, none[0, 0])
+    instant = Instant(given, body, none[1:], none[0, 0], none[0, 0])
     return instant._replace(work=stored_in(grid, instant))
 
 

@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..mechanics.fields import AnyFields
 from ..mechanics.friction import PerTendon
 from ..mechanics.problem import lay_out
+from ..numerics import tolerances as tol
 from ..numerics.arrays import varying_as, zero_as
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
@@ -53,7 +54,7 @@ ACCURACY = 1e-2  # a step with a larger error estimate is called inaccurate
 TRIED = 3  # times the increments that are wanted: so many are tried, where some have to be cut
 LEAST_WIDTH = 1e-4  # part of a step, the least increment
 SAFETY = 2.0  # factor on the differences of the passes in the error estimate
-LEAST_ERROR = 1e-5  # the error that the softened law and the stretch of stiff tendons may cause
+LEAST_ERROR = 1e-5  # the error that the stretch of stiff tendons may cause, and the law with the least elastic slip
 LEAST_SLACK = 1e-9  # of an offset; a tendon that is so much longer than wanted is slack
 LEAST_SLIP = 1e-2  # of the largest slip of an increment; a tendon that slips less rests
 
@@ -226,6 +227,7 @@ def stepped_history(manipulator: Manipulator, path: Path, start: SteppedStates |
     others = jax.tree.map(lambda x: x[1:], tips)
     apart = jax.vmap(jax.vmap(partial(difference, grid)), (None, 0))(tip, others)
     least = LEAST_ERROR if kind.estimated else jnp.nan
+    least = least * jnp.maximum(1.0, instants.body.elastic / (tol.ELASTIC * grid.scale))
     error = least + SAFETY * jnp.sum(apart, axis=0) + jax.vmap(partial(pushed, grid))(instants, tip)
     good = physical & jnp.all(passes.body.converged, axis=0)
     states = SteppedStates(manipulator, passes, _last(path.loads) or _no_loads(grid), kind.num_elements)
