@@ -308,9 +308,9 @@ def test_how_rows_ended_is_the_same_with_and_without_derivatives():
     table = loop(1e-3)
     rows = experiment_of(table, robot(), course=course_of(table)[0])
     known = {"slack_offset": 1.2e-3, "outside_compliance": COMPLIANCE}
-    whole, bare = (each(robot(), known, 16) for each in (rows.evaluate, rows.ended))
+    whole, bare = (each(robot(), known, 16) for each in (rows.evaluate, rows.solved))
     np.testing.assert_array_equal(bare.status, whole.status)
-    np.testing.assert_array_equal(bare.against, whole.against)
+    np.testing.assert_array_equal(bare.direction_contradicted, whole.direction_contradicted)
     slack = LOOP - 0.2e-3 <= 0.0  # at both ends of the loop no part of the tendon pulls
     np.testing.assert_array_equal(np.asarray(bare.status) == cddf.Status.slack, slack)
 

@@ -60,7 +60,7 @@ class Evaluation(NamedTuple):
     readings: dict[str, np.ndarray]  # by column, (rows,), SI
     derivatives: dict[str, np.ndarray]  # by column, (rows, parameters), in the flat order of the parameters
     status: Int[Array, " rows"]  # how the solves ended
-    against: np.ndarray  # (rows, tendons), whether a tendon travels against its direction
+    direction_contradicted: np.ndarray  # (rows, tendons), whether a tendon travels against its direction
     by_base: dict[str, np.ndarray]  # by column, (rows, directions), by the readings of base tension; `Bench.along`
 
 
@@ -289,12 +289,12 @@ class Bench(eqx.Module):
             answer = _evaluate(bare, manipulator, jax.tree.map(np.asarray, parameters), along, nodes)
         return jax.tree.map(lambda x: np.asarray(x)[: len(self.actuation)], answer)
 
-    def ended(self, manipulator: Manipulator, parameters: Parameters, nodes: int) -> Evaluation:
-        """How the solves of the rows ended; without readings and derivatives, of which a history has many."""
-        bare, rows = self._bare(manipulator), slice(len(self.actuation))
+    def solved(self, manipulator: Manipulator, parameters: Parameters, nodes: int) -> Shown:
+        """As `shown`, in a compiled program; without derivatives, of which a history has many."""
+        bare = self._bare(manipulator)
         with stage(f"solving {len(self.actuation)} rows"):
             shown = evaluated(Bench.shown, bare, manipulator, jax.tree.map(np.asarray, parameters), nodes)
-        return Evaluation({}, {}, shown.status[rows], shown.direction_contradicted[rows], {})
+        return jax.tree.map(lambda x: x[: len(self.actuation)], shown)
 
     def _bare(self, manipulator: Manipulator) -> "Bench":
         """The same rows without names and columns, padded, so that tables share compiled programs."""

@@ -139,7 +139,8 @@ def _pairs(point: Tracked, model: BenchModel, parameters: Mapping[str, float]) -
     groups = list(point.axes.values())
     bench = groups[0].experiment
     assert isinstance(bench, Bench)
-    shown = bench.evaluate(model.manipulator, parameters, model.nodes).readings
-    both = [[shown[group.column], group.table[group.column]] for group in groups]
+    shown = bench.solved(model.manipulator, parameters, model.nodes)
+    readings = bench.readings(shown, [group.column for group in groups], parameters)
+    both = [[readings[group.column], group.table[group.column]] for group in groups]
     pairs = np.moveaxis(np.array(both), 0, 2).swapaxes(0, 1)
     return pairs[np.all(np.isfinite(pairs), axis=(1, 2))]

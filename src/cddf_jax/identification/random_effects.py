@@ -120,7 +120,7 @@ def errors_of_base(model: BenchModel, tables: Sequence[Measurements], noise: Map
     for name, table, bench in zip(model.names, tables, model.experiments, strict=True):
         if not isinstance(bench, Bench):
             continue
-        levels = _levels(table, bench)
+        levels, uncertain = _levels(table, bench), {}
         estimable = _is_shared(table, bench, levels) and np.max(levels) < MOST_LEVELS
         for tendon, column in enumerate(set_by(table.columns)):
             stated = noise.get(column, noise.get(kind_of_set(column)))
@@ -128,9 +128,9 @@ def errors_of_base(model: BenchModel, tables: Sequence[Measurements], noise: Map
             if stated == 0 or not most > 0 or (stated is None and not estimable):
                 continue
             sigma[label := f"{name}: {column}"] = stated
-            largest[label] = most
-            found.append((label, partial(_slopes, name, table, bench, model, levels, tendon)))
-    return InputErrors(partial(_all_slopes, found), sigma, largest) if found else None
+            largest[label], uncertain[label] = most, tendon
+        found.append(partial(_slopes, name, table, bench, model, levels, uncertain))
+    return InputErrors(partial(_all_slopes, found), sigma, largest) if sigma else None
 
 
 def many_levels(model: BenchModel, tables: Sequence[Measurements], noise: Mapping[str, object]) -> list[str]:
@@ -153,10 +153,8 @@ def _is_shared(table: Measurements, bench: Bench, levels: np.ndarray) -> bool:
     return turns or count > bench.actuation.shape[1] * (int(np.max(levels)) + 1)
 
 
-def _all_slopes(
-    found: Sequence[tuple[str, Callable[[Parameters], Mapping[str, np.ndarray]]]], at: Parameters
-) -> Slopes:
-    return {label: slopes(at) for label, slopes in found}
+def _all_slopes(found: Sequence[Callable[[Parameters], Slopes]], at: Parameters) -> Slopes:
+    return {label: slopes for of_bench in found for label, slopes in of_bench(at).items()}
 
 
 def _levels(table: Measurements, bench: Bench) -> np.ndarray:
@@ -173,14 +171,34 @@ def _levels(table: Measurements, bench: Bench) -> np.ndarray:
 
 
 def _slopes(
-    name: str, table: Measurements, bench: Bench, model: BenchModel, levels: np.ndarray, tendon: int, at: Parameters
-) -> dict[str, np.ndarray]:
-    """By group of data, (readings, levels), the derivatives by the base tensions of a tendon.
+    name: str,
+    table: Measurements,
+    bench: Bench,
+    model: BenchModel,
+    levels: np.ndarray,
+    uncertain: Mapping[str, int],
+    at: Parameters,
+) -> Slopes:
+    """By label of each uncertain tendon and group of data, (readings, levels), the derivatives by its base tensions.
 
     They are over the root of the number of different readings of a level. Equal ones are one: the noise of a cell makes
     no equal readings.
     """
+    if not uncertain:
+        return {}
     by_base = bench.evaluate(model.manipulator, jax.tree.map(np.asarray, at), model.nodes).by_base
+    given = name, table, bench, levels, by_base
+    return {label: _by_tendon(*given, tendon) for label, tendon in uncertain.items()}
+
+
+def _by_tendon(
+    name: str,
+    table: Measurements,
+    bench: Bench,
+    levels: np.ndarray,
+    by_base: Mapping[str, np.ndarray],
+    tendon: int,
+) -> dict[str, np.ndarray]:
     tendons, rows = bench.actuation.shape[1], np.arange(len(table))
     different = np.unique(np.stack([levels, bench.actuation[:, tendon]]), axis=1)[0].astype(int)
     size = np.sqrt(np.bincount(different))

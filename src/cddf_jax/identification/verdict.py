@@ -74,10 +74,10 @@ def solve_results(
     for name, table, experiment in zip(model.names, tables, model.experiments, strict=True):
         if isinstance(experiment, Bench):
             errors = any(label.startswith(f"{name}: ") for label in inputs)  # then the search has compiled `evaluate`
-            solved = experiment.evaluate if errors or experiment.course is None else experiment.ended
+            solved = experiment.evaluate if errors or experiment.course is None else experiment.solved
             shown = solved(model.manipulator, parameters, model.nodes)
             found = [way is None for way in experiment.direction]  # a direction that the table states is not doubted
-            against = np.any(np.asarray(shown.against)[:, found], axis=1)
+            against = np.any(np.asarray(shown.direction_contradicted)[:, found], axis=1)
             contradicted = np.asarray(shown.status) == Status.direction_contradicted
             read = np.any([table.has(column) for column in table.columns if is_reading(column, table.columns)], axis=0)
             yield SolveResults(name, table, shown.status, contradicted & against & read, read)
