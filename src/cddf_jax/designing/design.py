@@ -248,7 +248,7 @@ def _check(
             )
     for case in cases:
         if any(part.quantity == "hysteresis" for part in parts):
-            case.check_loop(body)
+            case.check_loop()
         for name in case.numbers:
             if name in free:
                 raise InputError(f"design: {name!r} is free, and {case.name or 'the load case'} sets it; leave one out")

@@ -42,8 +42,8 @@ class LoadCase(eqx.Module):
         numbers: numbers of the body that have other values in this case, by name, e.g. {"youngs_modulus": 1.5e6}.
         weight: of this case in means over the cases, above 0.
         name: in tables and messages.
-        loop: (low, high), N, between which the base tension goes up and down, for the quantity "hysteresis" of one
-            tendon without loads. This is evaluated at `base_tension`, which lies between them.
+        loop: (low, high), N, between which the base tension of the first tendon goes up and down, for the quantity
+            "hysteresis". It is evaluated at `base_tension`, which lies between them; the other tendons keep theirs.
     """
 
     base_tension: PyTree = eqx.field(converter=lambda given: jax.tree.map(as_number, given))
@@ -87,16 +87,14 @@ class LoadCase(eqx.Module):
         body = self.body(manipulator)
         return solve(body, self.base_tension, self.loads, direction=self.direction, nodes=nodes, throw=False)
 
-    def check_loop(self, manipulator: Manipulator) -> None:
+    def check_loop(self) -> None:
         """Refuse a case without a loop, or one whose hysteresis cannot be computed."""
         own = self.name or "the load case"
         if self.loop is None:
             raise InputError(f"design: 'hysteresis' needs a loop of {own}, as in LoadCase(40.0, loop=(5.0, 75.0))")
-        if manipulator.num_tendons > 1 or self.loads is not None:
-            raise InputError("design: 'hysteresis' is known for one tendon without loads; follow others with trace")
         entries = jax.tree.leaves(self.base_tension, is_leaf=lambda entry: isinstance(entry, Target | TipPosition))
         if any(isinstance(entry, Target | TipPosition) for entry in entries):
-            raise InputError(f"design: 'hysteresis' needs a tension of {own} in place of a target; give one in N")
+            raise InputError(f"design: 'hysteresis' needs tensions of {own} in place of targets; give them in N")
         low, at, high = self.loop[0], float(np.ravel(entries)[0]), self.loop[1]
         if not low < at < high:
             inside = f"must lie inside its loop, {low:g} to {high:g} N"
