@@ -76,3 +76,5 @@ from .sweeping.axes import latin_hypercube as latin_hypercube, sobol as sobol
 from .sweeping.sweep import sweep as sweep
 
 __version__: str
+
+__all__: list[str]

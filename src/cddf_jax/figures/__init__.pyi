@@ -36,3 +36,5 @@ from .style import (
 )
 from .sweeps import draw_lines as draw_lines, draw_map as draw_map, sweep_figure as sweep_figure
 from .workspace import draw_workspace as draw_workspace, workspace_figure as workspace_figure
+
+__all__: list[str]

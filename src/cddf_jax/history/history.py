@@ -90,7 +90,7 @@ class History(eqx.Module):
     def __str__(self) -> str:
         return words_or_shapes(history_in_words, self)
 
-    def sliding(self, arc_length: ArrayLike) -> Float[Array, "steps *tendons_and_points"]:
+    def sliding(self, arc_length: ArrayLike | Sequence[ArrayLike]) -> Float[Array, "steps *tendons_and_points"]:
         """+1 where the tendon slid in during the step, -1 where it slid out, 0 where it rested, at arc lengths (m)."""
         s = self._places("sliding(s)", arc_length)
         found = self._states.sliding(s.ravel())
@@ -138,7 +138,7 @@ class History(eqx.Module):
             what = f"{asked}: needs one history, not a batch of shape {np.shape(self.tip_angle)[:-1]}"
             raise InputError(what, remedy=f"use jax.vmap(lambda history: history.{asked})(histories)")
 
-    def _places(self, asked: str, arc_length: ArrayLike) -> Float[Array, "..."]:
+    def _places(self, asked: str, arc_length: ArrayLike | Sequence[ArrayLike]) -> Float[Array, "..."]:
         """Arc lengths of one history, m."""
         self._check_single(asked)
         check_numbers(f"{asked}: s", arc_length)
@@ -150,7 +150,7 @@ class History(eqx.Module):
         self._check_single("equilibria")
         return self.at(self._states.arc_length)
 
-    def at(self, arc_length: ArrayLike) -> AnyFields:
+    def at(self, arc_length: ArrayLike | Sequence[ArrayLike]) -> AnyFields:
         """The fields along the body after each step, as in `Equilibrium.at`; the axis of steps comes first.
 
         Args:

@@ -37,7 +37,7 @@ def trace(
     base_tension: Driven,
     loads: Loads | Sequence[Loads] | None = None,
     *,
-    before: ArrayLike | Literal["rest"] = "rest",
+    before: ArrayLike | Sequence[ArrayLike] | Literal["rest"] = "rest",
     start: History | None = None,
     nodes: int = 16,
     max_turns: int = 16,
@@ -215,7 +215,7 @@ def _check_same_points(loads: Loads | None, before: Loads) -> None:
 
 
 def _earlier(
-    manipulator: Manipulator, before: ArrayLike | Literal["rest"], start: History | None
+    manipulator: Manipulator, before: ArrayLike | Sequence[ArrayLike] | Literal["rest"], start: History | None
 ) -> Float[Array, " tendons"] | None:
     """The tensions before the first step, N; None where there is no such step."""
     if isinstance(before, str) and before == "rest":
@@ -228,7 +228,7 @@ def _earlier(
         raise ValueError(f"{words}{before!r}")
     tension = jnp.atleast_1d(as_numbers(before, "trace: before"))
     if tension.shape != (count,):
-        raise ValueError(f"{words}{np.shape(before)}")
+        raise ValueError(f"{words}{np.asarray(before).shape}")
     if not isinstance(tension, Tracer) and not np.all((np.asarray(tension) >= 0) & np.isfinite(tension)):
         raise ValueError(f"trace: before must hold tensions of 0 N or more, got {np.asarray(tension).tolist()}")
     return tension

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -102,7 +102,7 @@ def _without_model(fit: Fit) -> dict[str, WithoutModel]:
 # --- results.json --------------------------------------------------------------------------------
 
 
-def fit_as_dict(results: FitResults) -> dict[str, object]:
+def fit_as_dict(results: FitResults) -> dict[str, Any]:
     """All results and all inputs of a fit, SI units, for JSON, where an infinite number becomes null."""
     fit = results.fit
     return {

@@ -17,6 +17,7 @@ from ..quantities import QUANTITIES, dimension_of
 from ..units import shown
 from .cross_section import CrossSection, Kinematics, SpatialSection
 from .profiles import (
+    Along,
     Constant,
     Linear,
     Number,
@@ -40,7 +41,7 @@ def _as_optional_number(value: object) -> Any:
     return None if value is None else as_number(value)
 
 
-def _as_optional_profile(value: Profile | ArrayLike | None) -> Profile | None:
+def _as_optional_profile(value: Along | None) -> Profile | None:
     return None if value is None else as_profile(value)
 
 
@@ -53,7 +54,7 @@ def _as_rest_curvature(value: Any) -> Any:
     return tuple(as_profile(part) for part in parts)
 
 
-def _as_modulus(value: Profile | ArrayLike | None) -> Profile | Number | None:
+def _as_modulus(value: Along | None) -> Profile | Number | None:
     """A constant modulus stays a number, named "youngs_modulus"; a varying one is a profile."""
     return _as_optional_profile(value) if callable(value) else _as_optional_number(value)
 
@@ -162,8 +163,9 @@ class Manipulator(eqx.Module):
     """
 
     length: Scalar = eqx.field(converter=as_number)
-    outer_radius: Profile | None = eqx.field(default=None, converter=_as_optional_profile)
-    inner_radius: Profile | None = eqx.field(default=None, converter=_as_optional_profile)
+    # None without a wall; `Any` in place of None, as almost every body has both radii
+    outer_radius: Profile | Any = eqx.field(default=None, converter=_as_optional_profile)
+    inner_radius: Profile | Any = eqx.field(default=None, converter=_as_optional_profile)
     tendons: tuple[Tendon, ...] = eqx.field(default=(), converter=tuple)
     youngs_modulus: Any = eqx.field(default=None, converter=_as_modulus)  # Scalar | Profile | None
     friction_coefficient: Scalar = eqx.field(default=None, converter=_as_optional_number)
@@ -513,7 +515,7 @@ def conical(
     outer_radius: Taper,
     inner_radius: Taper,
     tendon_offset: Taper,
-    youngs_modulus: Profile | ArrayLike,
+    youngs_modulus: Along,
     friction_coefficient: ArrayLike,
     density: ArrayLike = 0.0,
     num_tendons: int = 1,

@@ -6,6 +6,7 @@ solver ends its elements there.
 """
 
 from collections.abc import Callable, Sequence
+from typing import cast
 
 import equinox as eqx
 import jax
@@ -20,6 +21,7 @@ Number = Array | np.ndarray
 Scalar = Float[Number, ""]
 Points = Float[ArrayLike, "*points"]
 Profile = Callable[[Points], Array]
+Along = ArrayLike | Callable[[Points], ArrayLike]  # of which a profile is made: a number or a function
 FEW = 64  # points among which comparing is faster than searching
 
 
@@ -33,20 +35,20 @@ def as_number(value: object) -> Number:
     return value if isinstance(value, jax.Array) else np.asarray(value, dtype=np.float64)
 
 
-def as_profile(value: Profile | ArrayLike) -> Profile:
+def as_profile(value: Along) -> Profile:
     """A profile from a number or a function; a callable pytree is returned as it is."""
     if not callable(value):
         return Constant(value)
-    return Function(value) if jax.tree_util.all_leaves([value]) else value
+    return Function(value) if jax.tree_util.all_leaves([value]) else cast(Profile, value)
 
 
 class Function(eqx.Module):
     """A plain function of the arc length as a profile; JAX sees no numbers in it."""
 
-    function: Profile = eqx.field(static=True)
+    function: Callable[[Points], ArrayLike] = eqx.field(static=True)
 
     def __call__(self, arc_length: Points) -> Array:
-        return self.function(arc_length)
+        return jnp.asarray(self.function(arc_length))
 
     @property
     def breakpoints(self) -> Float[Number, " n"]:
@@ -88,7 +90,7 @@ class Piecewise(eqx.Module):
     ends: Float[Number, " joints"] = eqx.field(converter=as_number)
     pieces: tuple[Profile, ...]
 
-    def __init__(self, ends: ArrayLike | Sequence[ArrayLike], pieces: Sequence[Profile | ArrayLike]):
+    def __init__(self, ends: ArrayLike | Sequence[ArrayLike], pieces: Sequence[Along]):
         self.ends = as_number(ends)
         self.pieces = tuple(map(as_profile, pieces))
         if np.ndim(self.ends) != 1 or len(self.pieces) != np.shape(self.ends)[0] + 1:
@@ -235,7 +237,7 @@ def shifted(profile: Profile, by: ArrayLike) -> Profile:
     return Constant(profile.value + by) if isinstance(profile, Constant) else Shifted(profile, by)
 
 
-def breakpoints(profile: Profile) -> Float[Number, " n"]:
+def breakpoints(profile: Along) -> Float[Number, " n"]:
     """The arc lengths (m) at which a profile is not smooth; none unless it names some."""
     own = getattr(profile, "breakpoints", None)
     return np.zeros(0) if own is None else jnp.asarray(own)

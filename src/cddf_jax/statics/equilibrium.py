@@ -1,5 +1,6 @@
 """The result of a solve: the equilibrium and its fields along the body."""
 
+from collections.abc import Sequence
 from typing import TypeVar
 
 import equinox as eqx
@@ -136,7 +137,7 @@ class Equilibrium(eqx.Module):
         """The elements of the solve, which end where the body is not smooth."""
         return self._dense.elements
 
-    def at(self, arc_length: ArrayLike) -> AnyFields:
+    def at(self, arc_length: ArrayLike | Sequence[ArrayLike]) -> AnyFields:
         """The same fields anywhere along the body.
 
         Args:
