@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from bodies import paper_body
+from kinds import of_kind
 from refusals import refused
 
 import cddf_jax as cddf
@@ -22,9 +23,10 @@ ONE, TWO = paper_body("exact"), paper_body("exact", num_tendons=2)
 def test_tensions_and_targets():
     assert read_actuation(["0.075 kN"], ONE) == [75.0]
     assert read_actuation(["20 N"], TWO) == [20.0, 20.0]
-    stiffness, tension = read_actuation(["tip_stiffness=0.35 N/mm", "20 N"], TWO)  # in the order of the tendons
+    in_order = read_actuation(["tip_stiffness=0.35 N/mm", "20 N"], TWO)  # of the tendons
+    stiffness, tension = of_kind(list, in_order)
     assert (type(stiffness), float(stiffness.value), tension) == (cddf.TipStiffness, 350.0, 20.0)
-    (curvature,) = read_actuation(["curvature=0.008 1/mm at 7 cm"], ONE)
+    (curvature,) = of_kind(list, read_actuation(["curvature=0.008 1/mm at 7 cm"], ONE))
     assert (float(curvature.value), float(curvature.arc_length)) == (8.0, 0.07)
     for text, kind, value in (
         ("displacement = 5 mm", cddf.Displacement, 0.005),
@@ -32,7 +34,7 @@ def test_tensions_and_targets():
         ("tip_tension=0.04 kN", cddf.TipTension, 40.0),
         ("total_tension=80 N", cddf.TotalTension, 80.0),
     ):
-        (target,) = read_actuation([text], ONE)
+        (target,) = of_kind(list, read_actuation([text], ONE))
         assert type(target) is kind
         assert float(target.value) == pytest.approx(value, rel=1e-15)
 
@@ -45,13 +47,12 @@ def test_rows_to_leave_out():
 
 
 def test_a_place_of_the_tip_with_limits():
-    place = read_actuation(["tip_position=100, 80 mm"], TWO)
-    assert isinstance(place, cddf.TipPosition)
+    place = of_kind(cddf.TipPosition, read_actuation(["tip_position=100, 80 mm"], TWO))
     np.testing.assert_allclose(place.value, [0.1, 0.08], rtol=1e-15)
     assert (float(place.minimum_tension), place.maximum_tension) == (0.0, None)
-    place = read_actuation(["tip_position = 100 mm, 8 cm from 1 N to 0.05 kN"], TWO)
+    place = of_kind(cddf.TipPosition, read_actuation(["tip_position = 100 mm, 8 cm from 1 N to 0.05 kN"], TWO))
     np.testing.assert_allclose(place.value, [0.1, 0.08], rtol=1e-15)
-    assert (float(place.minimum_tension), float(place.maximum_tension)) == (1.0, 50.0)
+    assert (place.minimum_tension, place.maximum_tension) == (1.0, 50.0)
     message = "--base-tension: a tip_position stands for all tendons; give it alone"
     assert refused(read_actuation, ["tip_position=100, 80 mm", "3 N"], TWO) == message
 

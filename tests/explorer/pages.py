@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 from contextlib import contextmanager
+from urllib.parse import urlsplit
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 COMPUTING, STALE = (f"[style*='--{mark}: on']" for mark in ("computing", "stale"))  # parts of the page
@@ -18,6 +19,7 @@ def served(*arguments, times=1):
     program = f"from cddf_jax.cli.app import app; [app(standalone_mode=False) for _ in range({times})]"
     command = [sys.executable, "-u", "-c", program, "explore", *map(str, arguments), "--no-browser"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout
         line = process.stdout.readline()
         if line:
             yield process, line.split()[0]
@@ -51,4 +53,4 @@ def wait_for(page, name, text=None):
 
 def hosts_of(asked):
     """Of what a page asked for, but for what it made itself."""
-    return {re.match(r"\w+://([^:/]*)", url)[1] for url in asked if not url.startswith(("data:", "blob:"))}
+    return {urlsplit(url).hostname for url in asked if not url.startswith(("data:", "blob:"))}

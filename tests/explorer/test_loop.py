@@ -1,5 +1,7 @@
 """The loops that the explorer draws, against docs/hysteresis.md and `trace` along the whole path."""
 
+import re
+
 import jax
 import numpy as np
 import pytest
@@ -13,7 +15,9 @@ from cddf_jax.explorer.words import loop_html
 
 COMPILED = []  # what was traced or compiled in this process
 jax.monitoring.register_event_duration_secs_listener(
-    lambda name, seconds, **_: COMPILED.append(name) if "backend_compile" in name or "jaxpr_trace" in name else None
+    lambda event, duration_secs, **_: (
+        COMPILED.append(event) if re.search("backend_compile|jaxpr_trace", event) else None
+    )
 )
 
 

@@ -4,11 +4,13 @@ import gc
 import socket
 import sys
 from types import SimpleNamespace
+from typing import Any
 
 import equinox as eqx
 import numpy as np
 import pytest
 from bodies import PAPER, paper_body, paper_plain, straight
+from kinds import of_kind
 from places import DATA
 
 import cddf_jax as cddf
@@ -249,7 +251,8 @@ def test_only_what_the_data_identify_is_taken_over(monkeypatch):
     for known, offered in (("identified", True), ("not identified", False)):
         status = {"friction_coefficient": known, "youngs_modulus": "not identified"}
         told = {"names": names, "value": value, "confidence_interval": intervals, "status": status}
-        view._show_fit(SimpleNamespace(success=True, **told), "")
+        fit: Any = SimpleNamespace(success=True, **told)
+        view._show_fit(fit, "")
         assert view.take_over.visible == offered
         if offered:
             view._take_over()
@@ -260,8 +263,8 @@ def test_only_what_the_data_identify_is_taken_over(monkeypatch):
 def test_files_hold_what_is_shown(explored, picture, tmp_path):
     path = tmp_path / "body.toml"
     path.write_text(explored.toml(picture.case))
-    body = cddf.read_manipulator(path)
-    assert (body.outer_radius.base, body.outer_radius.tip) == (0.018, 0.015)
+    radius = of_kind(cddf.Linear, cddf.read_manipulator(path).outer_radius)
+    assert (radius.base, radius.tip) == (0.018, 0.015)
     text = fields_csv(picture.along, ["a note"]).splitlines()
     assert text[0] == "# a note"
     header, rows = text[1].split(","), np.array([line.split(",") for line in text[2:]], float)

@@ -140,7 +140,7 @@ def test_the_picture_of_two_tendons_is_that_of_the_table():
     plot.show_points("data", [(table, table.columns)])
     plot.show_points("rows", [(table, model)])
     # the tip and the marker there, but not the marker of which only x is told
-    assert [plot.space.data["kind"].count(kind) for kind in ("data", "rows")] == [2, 2]
+    assert [list(plot.space.data["kind"]).count(kind) for kind in ("data", "rows")] == [2, 2]
     sent = dict(zip(plot.space.data["kind"], plot.space.data["points"], strict=True))
     np.testing.assert_allclose(sent["rows"], tip, atol=1e-5)
     np.testing.assert_allclose(sent["data"], [130.0, 36.0, 18.0])

@@ -5,6 +5,7 @@ import signal
 import numpy as np
 import pytest
 from bodies import paper_body
+from kinds import of_kind
 from pages import COMPUTING, PATIENCE, STALE, hosts_of, opened_page, served, wait_for
 from places import DATA
 
@@ -208,7 +209,7 @@ def test_body_and_fields_are_saved(page, tmp_path):
     type_number(page, "base_tension_1", "40")
     assert follows(page, 40.0, outer_radius=(0.020, 0.0142))
     body = cddf.read_manipulator(saved(page, tmp_path, "Body as set (TOML)", "body.toml"))
-    assert float(body.outer_radius.tip) == 0.0142
+    assert of_kind(cddf.Linear, body.outer_radius).tip == 0.0142
     text = saved(page, tmp_path, "Fields along the body (CSV)", "fields.csv").read_text()
     assert "# Base tension = 40 N" in text
     expected = cddf.solve(paper_body("exact", outer_radius=(0.020, 0.0142)), 40.0).tip_tension[0]

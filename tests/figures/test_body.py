@@ -1,12 +1,14 @@
 """The figure of one equilibrium, read back from what is drawn: to scale, every tendon, every load."""
 
 from dataclasses import replace
+from typing import Any
 
 import matplotlib.colors
 import numpy as np
 import pytest
 from matplotlib.collections import LineCollection
 from matplotlib.patches import FancyArrowPatch
+from read_back import xy_of
 
 import cddf_jax as cddf
 from cddf_jax.figures import style as plotting
@@ -58,7 +60,7 @@ def wall_of(figure):
 def arrows(figure):
     """The line of each arrow without its head, mm, by the letter of its load: they are drawn in this order."""
     patches = [patch for patch in shape_of(figure).patches if isinstance(patch, FancyArrowPatch)]
-    return dict(zip("Fm", (patch._path_original.vertices for patch in patches), strict=True))
+    return dict(zip("Fm", (vars(patch)["_path_original"].vertices for patch in patches), strict=True))
 
 
 def marks(figure):
@@ -92,7 +94,7 @@ def test_tendons_are_coloured_by_tension_and_end_at_their_anchors(figure, equili
     anchor = equilibrium.at(np.array([END]))
     normal = np.array([-np.sin(anchor.heading[0]), np.cos(anchor.heading[0])])
     for line, side, base, tip in zip(lines, (+1, -1), (4.0, 1.0), np.asarray(equilibrium.tip_tension), strict=True):
-        pieces, values = line.get_segments(), line.get_array()
+        pieces, values = line.get_segments(), np.asarray(line.get_array())
         np.testing.assert_allclose(pieces[0][0], [0.0, side * 5.0], atol=1e-9)
         np.testing.assert_allclose(pieces[-1][-1], 1e3 * (anchor.position[0] + side * 0.005 * normal), atol=1e-9)
         steps = np.linalg.norm([piece[1] - piece[0] for piece in pieces], axis=-1)
@@ -144,7 +146,7 @@ def test_the_legend_states_the_loads_and_covers_nothing(figure):
 def test_the_tension_stops_at_the_anchor(figure, equilibrium):
     lines = tension_of(figure).get_lines()
     for line, tip in zip(lines, np.asarray(equilibrium.tip_tension), strict=True):
-        s, values = line.get_data()
+        s, values = xy_of(line)
         last = np.flatnonzero(np.isfinite(values))[-1]
         assert (s[last], values[last]) == (pytest.approx(1e3 * END), pytest.approx(tip, rel=1e-9))
     assert tension_of(figure).get_xlim()[1] >= 1e3 * LENGTH
@@ -166,7 +168,7 @@ def test_more_tendons_than_dash_patterns(equilibrium, monkeypatch):
         return replace(fields, tension=fields.tension[:1] * np.arange(1, count + 1)[:, None])
 
     monkeypatch.setattr("cddf_jax.figures.along.fields_along", made_up)
-    lines = draw_along(body, equilibrium, "tension").lines
+    lines: Any = draw_along(body, equilibrium, "tension").lines
     looks = {(line.get_linestyle(), line._dash_pattern[1] and tuple(line._dash_pattern[1]), line.get_marker())
              for line in lines}  # fmt: skip
     assert len(looks) == len(lines) == count

@@ -1,6 +1,7 @@
 """The functions of `cddf_jax.figures`: axes in, axes out, with units, and what they show is what they were given."""
 
 import re
+from functools import partial
 from io import BytesIO
 
 import jax
@@ -10,11 +11,13 @@ import numpy as np
 import pytest
 import xarray
 from bodies import paper_body
+from kinds import of_kind
 from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 from matplotlib.quiver import Quiver
 from places import DATA
+from read_back import legend_of, x_of, xy_of, y_of
 from refusals import refused
 from scipy import stats
 
@@ -92,8 +95,8 @@ def test_axes_in_and_axes_out(name, request):
     assert before == (dict(mpl.rcParams), plt.get_fignums())
     assert given.xaxis.label.get_fontfamily() == mpl.rcParams["font.family"]
     assert made.xaxis.label.get_fontfamily() == ["STIXGeneral"]
-    assert made.figure.get_figwidth() == figures.SINGLE_COLUMN
-    given.figure.draw_without_rendering()
+    assert of_kind(Figure, made.figure).get_figwidth() == figures.SINGLE_COLUMN
+    of_kind(Figure, given.figure).draw_without_rendering()
     for label in (given.get_xlabel(), given.get_ylabel()):
         assert label in PLAIN or re.search(r" \([^)]*[a-zA-Z°%][^)]*\)$", label), label
 
@@ -120,7 +123,7 @@ def test_lines_along_the_body(bent, quantity):
     }[quantity]
     assert len(lines) == len(expected)
     for line, values in zip(lines, expected, strict=True):
-        np.testing.assert_allclose(np.interp(1e3 * s, *line.get_data()), values, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(np.interp(1e3 * s, *xy_of(line)), values, rtol=1e-9, atol=1e-12)
 
 
 def test_a_style_of_ones_own(bent):
@@ -137,7 +140,7 @@ def test_arrows_are_the_forces(bent):
         np.testing.assert_allclose(np.stack([arrows.U, arrows.V], -1), np.reshape(force, (-1, 2)), rtol=1e-9)
     left = np.stack([-np.sin(along.heading), np.cos(along.heading)], axis=-1)
     roots = [1e3 * (along.position + side * 0.010 * left) for side in (+1, -1)]  # the paper's tendon: 10 mm off
-    np.testing.assert_allclose(normal.get_offsets(), np.concatenate(roots), rtol=1e-9)
+    np.testing.assert_allclose(np.asarray(normal.get_offsets()), np.concatenate(roots), rtol=1e-9)
 
 
 def test_a_body_to_scale_in_axes_that_share_their_limits(bent):
@@ -155,15 +158,15 @@ def test_the_model_and_the_data(fit):
     axes = figures.draw_fit(fit, axes=Figure().subplots())
     mu, error = fit.value["friction_coefficient"], fit.standard_error["friction_coefficient"]
     line = next(line for line in axes.lines if line.get_label() == "model")
-    wrap = np.radians(line.get_xdata())
-    np.testing.assert_allclose(line.get_ydata(), np.exp(mu * wrap), rtol=1e-9)
+    wrap = np.radians(x_of(line))
+    np.testing.assert_allclose(y_of(line), np.exp(mu * wrap), rtol=1e-9)
     (band,) = (item for item in axes.collections if item.get_label() == "95 % band of the model")
     high = np.max(np.exp(mu * wrap) + stats.t.ppf(0.975, fit.degrees_of_freedom) * error * wrap * np.exp(mu * wrap))
     assert band.get_datalim(axes.transData).ymax == pytest.approx(high, rel=1e-4)
     (data,) = axes.containers
     ratio, angle = table["pulling_tension"] / table["weight"], table["wrap_angle"]
     means = [ratio[angle == level].mean() for level in np.unique(angle)]
-    np.testing.assert_allclose(data[0].get_ydata(), means)
+    np.testing.assert_allclose(y_of(data[0]), means)
 
 
 def test_the_residuals_stand_below_the_data(fit):
@@ -173,7 +176,7 @@ def test_the_residuals_stand_below_the_data(fit):
     dots = next(line for line in below.lines if line.get_marker() == ".")
     (table,) = fit.tables
     predicted = np.exp(fit.value["friction_coefficient"] * table["wrap_angle"])
-    np.testing.assert_allclose(dots.get_ydata(), table["pulling_tension"] / table["weight"] - predicted, atol=1e-9)
+    np.testing.assert_allclose(y_of(dots), table["pulling_tension"] / table["weight"] - predicted, atol=1e-9)
 
 
 # --- sweeps --------------------------------------------------------------------------------------
@@ -183,9 +186,9 @@ def test_tendons_and_components_are_lines_too(grid):
     axes = figures.draw_lines(grid.sel(friction_coefficient=0.4), "tip_position", "base_tension", Figure().subplots())
     assert axes.get_ylabel() == "Tip position (mm)"
     x, y = axes.lines
-    np.testing.assert_allclose(x.get_ydata(), 1e3 * (np.arange(5) + 1))
-    np.testing.assert_allclose(y.get_ydata(), 2e3 * (np.arange(5) + 1))
-    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["X", "Y"]
+    np.testing.assert_allclose(y_of(x), 1e3 * (np.arange(5) + 1))
+    np.testing.assert_allclose(y_of(y), 2e3 * (np.arange(5) + 1))
+    assert legend_of(axes) == ["X", "Y"]
 
 
 def test_a_map_either_way_round(grid):
@@ -194,9 +197,9 @@ def test_a_map_either_way_round(grid):
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("Friction coefficient", "Base tension (N)")
     lines = [artist for artist in axes.collections if isinstance(artist, QuadContourSet)][1]
     # 100 (i + k) = level; friction coefficients are 0.2 (k + 1), base tensions 10 (i + 1)
-    friction, tension = lines.get_paths()[3].vertices.T
-    np.testing.assert_allclose(friction / 0.2 + tension / 10.0 - 2.0, lines.levels[3] / 100.0, atol=1e-12)
-    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["hatched: locked"]
+    friction, tension = np.asarray(lines.get_paths()[3].vertices).T
+    np.testing.assert_allclose(friction / 0.2 + tension / 10.0 - 2.0, list(lines.levels)[3] / 100.0, atol=1e-12)
+    assert legend_of(axes) == ["hatched: locked"]
 
 
 # --- what cannot be drawn ------------------------------------------------------------------------
@@ -233,7 +236,8 @@ def test_a_wrong_name_gives_one_clear_line(draw, message, request):
 
 def test_a_failed_solve_is_not_drawn(bent):
     nothing = jax.tree.map(lambda x: x * np.nan if np.issubdtype(x.dtype, np.inexact) else x, bent)
-    for draw in (figures.draw_shape, figures.draw_force_arrows, lambda *both: figures.draw_along(*both, "tension")):
+    along = partial(figures.draw_along, quantity="tension")
+    for draw in (figures.draw_shape, figures.draw_force_arrows, along):
         with pytest.raises(cddf.InputError, match="the solve failed"):
             draw(PAIR, nothing)
 

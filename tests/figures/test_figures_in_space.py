@@ -2,10 +2,14 @@
 
 from types import SimpleNamespace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from kinds import of_kind
 from matplotlib.colors import Normalize
+from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
+from read_back import legend_of, xy_of, y_of
 
 import cddf_jax as cddf
 from cddf_jax import figures
@@ -21,20 +25,20 @@ ROBOT = cddf.Manipulator(LENGTH, RADIUS, 0.0, TENDONS, youngs_modulus=1e6, frict
 
 def arc(s):
     """An arc in the plane of X and Z: tendon 1 on its inner side, tendon 2 on its outer side, their tensions linear."""
-    sine, cosine, none = np.sin(BEND * s), np.cos(BEND * s), 0.0 * s
-    axis, normal = np.stack([cosine, none, sine], -1), np.stack([-sine, none, cosine], -1)
-    position = np.stack([sine, none, 1.0 - cosine], -1) / BEND
-    tension = np.stack([20.0 - 50.0 * s, 8.0 + 10.0 * s])
+    sine, cosine, none = jnp.sin(BEND * s), jnp.cos(BEND * s), 0.0 * s
+    axis, normal = jnp.stack([cosine, none, sine], -1), jnp.stack([-sine, none, cosine], -1)
+    position = jnp.stack([sine, none, 1.0 - cosine], -1) / BEND
+    tension = jnp.stack([20.0 - 50.0 * s, 8.0 + 10.0 * s])
     return cddf.SpatialFields(
         arc_length=s,
-        curvature=np.stack([none, none - BEND, none], -1),  # about y: from z to x
-        frame=np.stack([axis, np.broadcast_to([0.0, 1.0, 0.0], axis.shape), normal], -1),
+        curvature=jnp.stack([none, none - BEND, none], -1),  # about y: from z to x
+        frame=jnp.stack([axis, jnp.broadcast_to(jnp.eye(3)[1], axis.shape), normal], -1),
         position=position,
         tension=tension,
-        wrap_angle=np.stack([BEND * s] * 2),
+        wrap_angle=jnp.stack([BEND * s] * 2),
         normal_force=BEND * tension[..., None] * normal,
         friction_force=-0.1 * BEND * tension[..., None] * axis,
-        path=np.stack([position + side * OFFSET * normal for side in (1, -1)]),
+        path=jnp.stack([position + side * OFFSET * normal for side in (1, -1)]),
     )
 
 
@@ -52,18 +56,18 @@ def what():
 
 
 def test_axes_in_space_are_to_scale_and_in_millimetres(equilibrium):
-    scene = figures.draw_shape(ROBOT, equilibrium, LOADS)
+    scene = of_kind(Axes3D, figures.draw_shape(ROBOT, equilibrium, LOADS))
     assert [scene.get_xlabel(), scene.get_ylabel(), scene.get_zlabel()] == ["$X$ (mm)", "$Y$ (mm)", "$Z$ (mm)"]
     sizes = np.ptp([scene.get_xlim(), scene.get_ylim(), scene.get_zlim()], axis=1)
     np.testing.assert_allclose(scene._box_aspect / sizes, scene._box_aspect[0] / sizes[0])
     labels = [axes.get_ylabel() for axes in scene.figure.axes[1:]]
     assert labels == ["$T$ (N)"]
-    told = [text.get_text() for text in scene.get_legend().get_texts()]
+    told = legend_of(scene)
     assert told == ["$F$ = 0.5 N", "$m$ = 0.02 N m", "$g$ = (0, 0, \N{MINUS SIGN}9.81) m/s$^2$"]
 
 
 def test_shadows_lie_on_the_walls(equilibrium, what):
-    scene = figures.draw_shape(ROBOT, equilibrium)
+    scene = of_kind(Axes3D, figures.draw_shape(ROBOT, equilibrium))
     walls = scene.get_xlim()[0], scene.get_ylim()[1], scene.get_zlim()[0]
     polygons = space.shadows(scene, what.body)
     on = [[np.all(polygon[:, i] == walls[i]) for i in range(3)] for polygon in polygons]
@@ -95,10 +99,10 @@ def test_tendons_are_where_they_are_and_end_at_their_anchors(equilibrium, what):
     pieces, dashes = np.asarray(near._segments3d), np.asarray(hidden._segments3d)
     # seen from above and in front: the inner tendon, which runs above the midline, hides nothing and is not hidden
     np.testing.assert_allclose(pieces[0, 0], [0.0, 0.0, 1e3 * OFFSET], atol=1e-9)
-    assert near.get_array()[0] == pytest.approx(20.0, rel=0.01)
+    assert np.asarray(near.get_array())[0] == pytest.approx(20.0, rel=0.01)
     radius = np.linalg.norm(pieces[:, 0] - [0.0, 0.0, 1e3 / BEND], axis=-1)
     np.testing.assert_allclose(radius, 1e3 * (1 / BEND - OFFSET), rtol=1e-9)
-    assert hidden.get_linewidth()[0] < near.get_linewidth()[0]
+    assert np.ravel(hidden.get_linewidth())[0] < np.ravel(near.get_linewidth())[0]
     length = np.linalg.norm(np.diff(dashes, axis=1), axis=-1).sum()
     whole = 1e3 * 0.15 * (1 + BEND * OFFSET)
     assert 0.3 * whole < length < 0.7 * whole  # dashed
@@ -117,7 +121,7 @@ def test_views_have_one_scale(equilibrium):
     scales = [np.diff(view.transData.transform([(0, 0), (1, 1)]), axis=0) for view in views]
     np.testing.assert_allclose(scales, np.broadcast_to(scales[0][0, 0], np.shape(scales)), rtol=1e-6)
     # in the plane of the bend both tendons are arcs; the reader at -Y sees neither of them hidden by the midline
-    tips = [line.get_xydata()[0] for line in views[1].lines if line.get_marker() == "o"]
+    tips = [xy_of(line).T[0] for line in views[1].lines if line.get_marker() == "o"]
     angle = np.array([BEND * LENGTH, BEND * 0.15])
     reach = 1 / BEND - np.array([OFFSET, -OFFSET])
     expected = 1e3 * np.stack([reach * np.sin(angle), 1 / BEND - reach * np.cos(angle)], axis=-1)
@@ -127,14 +131,14 @@ def test_views_have_one_scale(equilibrium):
 def test_fields_along_a_body_in_space(equilibrium):
     figure = figures.equilibrium_figure(ROBOT, equilibrium, LOADS)
     curvature = next(axes for axes in figure.axes if "Curvature" in axes.get_ylabel())
-    told = {line.get_label(): line.get_ydata() for line in curvature.lines}
+    told = {line.get_label(): y_of(line) for line in curvature.lines}
     assert list(told) == ["twist, $x$", "bending, $y$", "bending, $z$"]
     np.testing.assert_allclose(told["bending, $y$"], -BEND)
     force = figures.draw_along(ROBOT, equilibrium, "normal_force")
-    np.testing.assert_allclose(force.lines[0].get_ydata()[[0, -1]], [BEND * 20.0, BEND * 10.0])
-    heading = figures.draw_along(ROBOT, equilibrium, "heading").lines[0].get_ydata()
+    np.testing.assert_allclose(y_of(force.lines[0])[[0, -1]], [BEND * 20.0, BEND * 10.0])
+    heading = y_of(figures.draw_along(ROBOT, equilibrium, "heading").lines[0])
     assert heading[-1] == pytest.approx(np.degrees(BEND * LENGTH))
-    strain = figures.draw_along(ROBOT, equilibrium, "strain").lines[0].get_ydata()
+    strain = y_of(figures.draw_along(ROBOT, equilibrium, "strain").lines[0])
     np.testing.assert_allclose(strain, 100 * RADIUS * BEND)
 
 

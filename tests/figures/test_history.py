@@ -4,8 +4,11 @@ import jax
 import numpy as np
 import pytest
 from bodies import paper_body
+from kinds import of_kind
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
+from matplotlib.text import Annotation
+from read_back import legend_of, x_of, xy_of, y_of
 
 import cddf_jax as cddf
 from cddf_jax import figures
@@ -21,25 +24,21 @@ def history():
     return cddf.trace(BODY, PATH)
 
 
-def labels_of(axes):
-    return [text.get_text() for text in axes.get_legend().get_texts()]
-
-
 def numbers_of(axes):
     return [text.get_text() for text in axes.texts if text.get_text()]
 
 
 def test_a_loop(history):
     axes = figures.draw_loop(history, "tip_angle", Figure().subplots())
-    pull, release, back = (line for line in axes.lines if len(line.get_xdata()) > 1)
-    np.testing.assert_array_equal(pull.get_xdata(), [0.0, 75.0])
-    np.testing.assert_array_equal(release.get_xdata(), [75.0, 60.0, 40.0])
-    np.testing.assert_allclose(release.get_ydata(), ANGLES, atol=6e-7)
-    np.testing.assert_array_equal(back.get_xdata(), [40.0, 60.0, 75.0])
+    pull, release, back = (line for line in axes.lines if len(x_of(line)) > 1)
+    np.testing.assert_array_equal(x_of(pull), [0.0, 75.0])
+    np.testing.assert_array_equal(x_of(release), [75.0, 60.0, 40.0])
+    np.testing.assert_allclose(y_of(release), ANGLES, atol=6e-7)
+    np.testing.assert_array_equal(x_of(back), [40.0, 60.0, 75.0])
     assert pull.get_linestyle() == back.get_linestyle() != release.get_linestyle()
-    assert labels_of(axes) == ["pulled", "released"]
+    assert legend_of(axes) == ["pulled", "released"]
     assert numbers_of(axes) == ["1", "2, 4", "3"]  # the turns; it closes where it began to be released
-    assert sum(text.arrowprops is not None for text in axes.texts) == 3
+    assert sum(isinstance(text, Annotation) and text.arrowprops is not None for text in axes.texts) == 3
     assert axes.get_ylabel() == "Tip angle (deg)"
 
 
@@ -54,32 +53,32 @@ def test_numbers_of_ones_own_and_many_steps(history):
 def test_lines_along_the_body_and_their_fronts(history):
     """Tensions at the tip by the table of the loop; at the base they are those that were given."""
     axes = figures.draw_history_along(BODY, history, "tension", Figure().subplots(), steps=[0, 1, 2, 3, 5])
-    assert labels_of(axes) == ["3: 60 N", "4: 40 N", "2, 5: 75 N", "front"]
-    lines = [line for line in axes.lines if len(line.get_xdata()) > 1]
-    ends = [(line.get_ydata()[0], line.get_ydata()[-1]) for line in lines]
+    assert legend_of(axes) == ["3: 60 N", "4: 40 N", "2, 5: 75 N", "front"]
+    lines = [line for line in axes.lines if len(x_of(line)) > 1]
+    ends = [(y_of(line)[0], y_of(line)[-1]) for line in lines]
     np.testing.assert_allclose(ends, [(60.0, 45.122927), (40.0, 45.122927), (75.0, 45.122927)], atol=6e-7)
-    dots = [line.get_xdata()[0] for line in axes.lines if len(line.get_xdata()) == 1]
+    dots = [x_of(line)[0] for line in axes.lines if len(x_of(line)) == 1]
     np.testing.assert_allclose(dots, FRONTS, atol=6e-4)
     top = lines[2]
-    on_it = [np.interp(x, *top.get_data()) for x in dots]  # beyond its front it has the tension of the pull
-    heights = [line.get_ydata()[0] for line in axes.lines if len(line.get_xdata()) == 1]
+    on_it = [np.interp(x, *xy_of(top)) for x in dots]  # beyond its front it has the tension of the pull
+    heights = [y_of(line)[0] for line in axes.lines if len(x_of(line)) == 1]
     np.testing.assert_allclose(heights, on_it, rtol=2e-3)  # the kink lies between two points of the lines
 
 
 def test_where_the_work_goes(history):
     axes = figures.draw_energy(history, Figure().subplots(), steps=range(6))
-    stored, work = (line for line in axes.lines if len(line.get_xdata()) == 6)
-    np.testing.assert_array_equal(work.get_xdata(), [1, 2, 3, 4, 5, 6])
-    np.testing.assert_allclose((work.get_ydata() - stored.get_ydata())[1:4], LOSSES, atol=6e-4)
-    assert work.get_ydata()[1] == pytest.approx(415.405749, abs=6e-7)
-    assert labels_of(axes) == ["stored in the body", "lost to friction", "work put in"]
+    stored, work = (line for line in axes.lines if len(x_of(line)) == 6)
+    np.testing.assert_array_equal(x_of(work), [1, 2, 3, 4, 5, 6])
+    np.testing.assert_allclose((y_of(work) - y_of(stored))[1:4], LOSSES, atol=6e-4)
+    assert y_of(work)[1] == pytest.approx(415.405749, abs=6e-7)
+    assert legend_of(axes) == ["stored in the body", "lost to friction", "work put in"]
     assert [label.get_text() for label in axes.get_xticklabels()][:3] == ["1\n0", "2\n75", "3\n60"]
     assert sum(isinstance(area, PolyCollection) for area in axes.collections) == 2
 
 
 def test_without_axes_there_is_a_figure_of_one_column(history):
     for axes in (figures.draw_loop(history), figures.draw_energy(history), figures.draw_history_along(BODY, history)):
-        assert axes.figure.get_figwidth() == figures.SINGLE_COLUMN
+        assert of_kind(Figure, axes.figure).get_figwidth() == figures.SINGLE_COLUMN
 
 
 def test_the_whole_figure(history):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import xarray
+from read_back import legend_of
 
 import cddf_jax as cddf
 from cddf_jax import figures
@@ -74,7 +75,7 @@ def test_what_is_doubtful_and_what_failed():
     figure = figures.workspace_figure(data)
     *_, scene, _ = figure.axes
     assert len(drawn(scene)[0]) == 7
-    told = [text.get_text() for text in scene.get_legend().get_texts()]
+    told = legend_of(scene)
     assert told == ["hollow: doubtful, crossing", "no number: 1 of 9, locked"]
 
 

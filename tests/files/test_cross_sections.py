@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from bodies import paper_body
 from hypothesis import given, strategies as st
+from kinds import of_kind
 from scipy.integrate import quad
 from scipy.interpolate import CubicSpline
 
@@ -58,10 +59,10 @@ def test_the_simplest_profile_passes_every_point_at_the_tolerance(shape, kind, r
 
 def test_a_cubic_needs_four_knots_and_a_kink_one_joint():
     """Four knots make one cubic; two straight lines meet once."""
-    cubic = taken(S, 0.02 - 0.05 * S + 0.3 * S**2 - 1.1 * S**3, 1e-9).profile
+    cubic = of_kind(cddf.Spline, taken(S, 0.02 - 0.05 * S + 0.3 * S**2 - 1.1 * S**3, 1e-9).profile)
     assert len(cubic.values) == 4
     cones = taken(S, np.interp(S, [0.0, 0.07, LENGTH], [0.02, 0.015, 0.013]), 1e-9)
-    np.testing.assert_allclose(cones.profile.arc_length, [0.0, 0.07, LENGTH])
+    np.testing.assert_allclose(of_kind(Polyline, cones.profile).arc_length, [0.0, 0.07, LENGTH])
     assert cones.words == "straight lines through 3 of 201 points"
 
 
@@ -169,7 +170,8 @@ def test_steps_between_slants_and_curves():
     s = np.concatenate([np.linspace(0, 0.05, 6), np.linspace(0.05, 0.07, 3), np.linspace(0.07, LENGTH, 40)])
     parts = [0.02 - 0.1 * s[:6], np.full(3, 0.012), 0.01 - 3.0 * (s[9:] - 0.06) ** 3]
     read = taken(s, np.concatenate(parts), 1e-9)
-    assert [type(piece) for piece in read.profile.pieces] == [cddf.Linear, cddf.Constant, cddf.Spline]
+    kinds = [type(piece) for piece in of_kind(cddf.Piecewise, read.profile).pieces]
+    assert kinds == [cddf.Linear, cddf.Constant, cddf.Spline]
     left = s - 1e-12 * np.isin(np.arange(len(s)), [5, 8])
     np.testing.assert_allclose(read.profile(left), np.concatenate(parts), rtol=0, atol=2e-9)
     assert read.words == (
@@ -179,7 +181,8 @@ def test_steps_between_slants_and_curves():
 
 def test_steps_within_the_tolerance_are_none():
     s = np.array([0.0, 0.05, 0.05, LENGTH])
-    assert float(taken(s, np.array([7e-3, 7e-3, 7.0004e-3, 7.0004e-3]), 1e-6).profile.value) == pytest.approx(7.0002e-3)
+    read = taken(s, np.array([7e-3, 7e-3, 7.0004e-3, 7.0004e-3]), 1e-6)
+    assert of_kind(cddf.Constant, read.profile).value == pytest.approx(7.0002e-3)
 
 
 def test_an_offset_that_zigzags_is_said(tmp_path):
@@ -234,7 +237,7 @@ def test_a_table_that_was_written_gives_the_body_back(read):
     again = cddf.Manipulator(**sections.body, youngs_modulus=1.4e6, friction_coefficient=0.42)
     assert [tendon.side for tendon in again.tendons] == [-1, +1]
     assert again.tendons[0].end is None
-    np.testing.assert_allclose(again.tendons[1].end, 0.1, rtol=0, atol=1e-12)
+    assert again.tendons[1].end == pytest.approx(0.1, rel=0, abs=1e-12)
     for mine, its in ((robot.outer_radius, again.outer_radius), (robot.inner_radius, again.inner_radius)):
         np.testing.assert_allclose(its(S), mine(S), rtol=0, atol=1e-6)
     np.testing.assert_allclose(again.tendons[0].offset(S), tendons[0].offset(S), rtol=0, atol=1e-9)
@@ -263,7 +266,7 @@ def test_a_manipulator_file_takes_its_sections_from_a_table(tmp_path):
         'friction_coefficient = 0.42\n[[tendons]]\nfriction_coefficient = 0.3\naxial_stiffness = "12 kN"\n'
     )
     (tendon,) = cddf.read_manipulator(robot).tendons
-    assert (float(tendon.friction_coefficient), float(tendon.axial_stiffness)) == (0.3, 12e3)
+    assert (tendon.friction_coefficient, tendon.axial_stiffness) == (0.3, 12e3)
 
 
 @pytest.mark.parametrize(

@@ -71,7 +71,7 @@ def test_a_batch_and_places_off_the_body_are_refused(equilibrium):
     with pytest.raises(cddf.InputError, match=r"within 0 to 0.14 m"):
         cddf.as_dataset(equilibrium, [0.2])
     with pytest.raises(TypeError, match="got float"):
-        cddf.as_frame(3.0)
+        cddf.as_frame(3.0)  # pyright: ignore[reportArgumentType]
 
 
 def test_measurements_become_a_frame_and_come_back(tmp_path):

@@ -10,6 +10,7 @@ import pytest
 from bodies import paper_body
 from matplotlib.image import imread
 from places import DATA
+from read_back import x_of, xy_of, y_of
 from repeat import repeated
 from scipy import stats
 
@@ -207,7 +208,7 @@ def test_the_curve_is_the_model(figures, paper_route):
     """The line of the load cells' panel against the closed form at the estimate, docs/theory.md (16)."""
     above = figures["fit_load_cells_simulated"].axes[0]
     mu, modulus = (paper_route.value[name] for name in BOTH)
-    drawn = [line.get_xydata() for line in above.get_lines() if len(line.get_xydata()) == 100]
+    drawn = [xy_of(line).T for line in above.get_lines() if len(xy_of(line).T) == 100]
     assert drawn
     base, tip = np.asarray(drawn[0]).T
     np.testing.assert_allclose(tip, base / (1 + mu / modulus * base * 2.942783188998e4), rtol=1e-8)
@@ -236,10 +237,10 @@ def test_rows_that_lie_apart_are_drawn_over_their_prediction(paper, load_cells):
     assert below.get_xlabel() == "Predicted tip tension (N)"
     residual = fit.residuals["bench: tip_tension"]
     measured = next(line for line in above.lines if line.get_marker() == "o")
-    np.testing.assert_array_equal(measured.get_ydata(), table["tip_tension"])
-    np.testing.assert_array_equal(measured.get_xdata(), table["tip_tension"] - residual)
+    np.testing.assert_array_equal(y_of(measured), table["tip_tension"])
+    np.testing.assert_array_equal(x_of(measured), table["tip_tension"] - residual)
     dots = next(line for line in below.lines if line.get_marker() == ".")
-    np.testing.assert_array_equal(dots.get_ydata(), residual)
+    np.testing.assert_array_equal(y_of(dots), residual)
 
 
 @pytest.mark.slow
@@ -257,7 +258,7 @@ def test_two_tendons_are_drawn_over_their_predictions():
     axes = fit_figures.draw_fit(fit, column="tip_tension_2")
     drawn = next(line for line in axes.lines if line.get_marker() == "o")
     predicted = Bench(pulls, (np.ones(8), -np.ones(8))).evaluate(pair, fit.parameters, 16)
-    np.testing.assert_allclose(drawn.get_xdata(), predicted.readings["tip_tension_2"], rtol=1e-9)
+    np.testing.assert_allclose(x_of(drawn), predicted.readings["tip_tension_2"], rtol=1e-9)
     (bars,) = (item for item in axes.containers if item.get_label() == "95 % interval of the model")
     reach = [np.ptp(segment[:, 0]) / 2 for segment in bars[2][0].get_segments()]
     np.testing.assert_allclose(reach, fit.band(predicted.derivatives["tip_tension_2"]), rtol=1e-9)
@@ -282,7 +283,7 @@ def texts(axes):
 
 
 def line_of(axes, label):
-    return next(line for line in axes.get_lines() if line.get_label() == label).get_xydata().T
+    return xy_of(next(line for line in axes.get_lines() if line.get_label() == label))
 
 
 def pulled(table, mu):

@@ -140,7 +140,7 @@ def test_a_cell_of_a_table_that_holds_its_separator():
 
 
 def test_readings_are_gathered_by_level():
-    level, mean, deviation = fit_figures.by_level([10.02, 5.0, 9.98, 20.0], [4.0, 1.0, 2.0, 7.0])
+    level, mean, deviation = fit_figures.by_level(*np.array([[10.02, 5.0, 9.98, 20.0], [4.0, 1.0, 2.0, 7.0]]))
     np.testing.assert_allclose(level, [5.0, 10.0, 20.0])
     np.testing.assert_allclose(mean, [1.0, 3.0, 7.0])
     np.testing.assert_allclose(deviation, [np.nan, np.sqrt(2.0), np.nan])
