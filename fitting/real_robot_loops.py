@@ -60,7 +60,7 @@ def read(robot: str = "v4") -> list[cddf.Measurements]:
         columns = {"displacement" if number == 1 else f"displacement_{number}": pulled}
         columns |= {"time": np.array([float(row["time [s]"]) for row in own])}
         columns |= dict(zip(TIP, tip, strict=True))
-        found.append(cddf.Measurements.from_columns(f"{robot} {name}", notes=(), **columns))
+        found.append(cddf.Measurements.from_columns(f"{robot} {name}", **columns))
     return found
 
 
@@ -71,7 +71,7 @@ def one_history(loops: list[cddf.Measurements]) -> cddf.Measurements:
     columns |= {column: np.concatenate([table[column] for table in loops]) for column in TIP}
     ends = np.cumsum([0.0, *(table["time"][-1] + PAUSE for table in loops)])
     columns["time"] = np.concatenate([start + table["time"] for start, table in zip(ends, loops, strict=False)])
-    return cddf.Measurements.from_columns("v4", notes=(), **columns)
+    return cddf.Measurements.from_columns("v4", **columns)
 
 
 def pulled_by(table: cddf.Measurements) -> str:
@@ -169,7 +169,7 @@ def refusal() -> str:
     across = across - across[0]
     way = across[np.argmax(np.linalg.norm(across, axis=1))]
     columns |= {"displacement": loop[pulled_by(loop)], "tip_y": across @ (way / np.linalg.norm(way))}
-    table = cddf.Measurements.from_columns(loop.name, notes=(), **columns)
+    table = cddf.Measurements.from_columns(loop.name, **columns)
     free = ["friction_coefficient", "outside_compliance", "slack_offset", "camera"]
     return cddf.fit(body, table, free, noise=EXACT).result
 

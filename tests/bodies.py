@@ -130,7 +130,7 @@ class Draw(NamedTuple):
     base_tension: Any
 
 
-def body_of(draw: Draw, kinematics: str) -> cddf.Manipulator:
+def body_of(draw: Draw, kinematics: Any) -> cddf.Manipulator:
     def both_ends(x):
         return jnp.stack([jnp.asarray(x), draw.taper * x])
 

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from bodies import PlainBody
+from kinds import root_of
 from scipy.integrate import quad, solve_ivp
-from scipy.optimize import brentq
 from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 
 
@@ -242,7 +242,7 @@ class _Shot:
                 turning = self._turning(s, y)[i] if self.slanted else self._local(s, y)[0]
                 return self.sign[i] * turning + faint
 
-            rate.terminal, rate.direction = True, -1
+            vars(rate).update(terminal=True, direction=-1)
             return rate
 
         return [event(i) for i in range(self.n if self.slanted else 1)]
@@ -344,7 +344,7 @@ def elastica_tip(alpha: float) -> tuple[float, float, float]:
         m, a = parts(phi)
         return ellipk(m) - ellipkinc(a, m) - root
 
-    angle = brentq(surplus, 1e-9, np.pi / 2 - 1e-7, xtol=1e-15, rtol=1e-15)
+    angle = root_of(surplus, 1e-9, np.pi / 2 - 1e-7, xtol=1e-15, rtol=1e-15)
     m, a = parts(angle)
     y = 1 - 2 * (ellipe(m) - ellipeinc(a, m)) / root
     return np.sqrt(2 * np.sin(angle)) / root, np.sign(alpha) * y, np.sign(alpha) * angle

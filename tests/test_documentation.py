@@ -80,7 +80,7 @@ def test_every_public_name_is_in_the_reference_with_its_docstring(site):
 
 def test_every_command_and_option_is_in_the_reference(site):
     text = site["reference/command_line.html"].text
-    for name, command in typer.main.get_command(app).commands.items():
+    for name, command in typer.main.get_group(app).commands.items():
         assert f'id="cddf-{name}"' in text
         assert [option for parameter in command.params for option in parameter.opts if option not in text] == []
 

@@ -76,7 +76,7 @@ def _is_installed(name):
 
 
 def _pythons(name):
-    return SpecifierSet(metadata.metadata(name).get("Requires-Python") or "")
+    return SpecifierSet(",".join(metadata.metadata(name).get_all("Requires-Python", [])))
 
 
 def test_the_wheel_holds_the_package_and_nothing_else(built):

@@ -10,6 +10,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from places import ROOT
@@ -67,7 +68,7 @@ def test_frames(poses):
     assert np.count_nonzero(two) == 8
     markers, turn = STUDY.MARKERS.values(), np.array([0.0, SETTING.given["camera_turn_y"], 0.0])
     body = np.array([np.add((one.arc_length, 0.0, 0.0), one.offset) for one in markers])
-    straight = np.asarray(seen(body, np.zeros(3), turn))
+    straight = np.asarray(seen(*map(jnp.asarray, (body, np.zeros(3), turn))))
     read = np.stack([[poses[f"{axis}@{name}"] for axis in "xyz"] for name in STUDY.MARKERS])  # markers, axes, poses
     nearest = read[..., (poses["base_tension"] + poses["base_tension_2"]) < 2.0]
     assert nearest.shape[-1] == 2

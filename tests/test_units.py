@@ -9,7 +9,7 @@ from hypothesis import given, strategies as st
 from refusals import refused
 
 from cddf_jax.errors import InputError
-from cddf_jax.units import quantity, to_si, written
+from cddf_jax.units import Dimension, quantity, to_si, written
 
 DIMENSIONS = ("length", "force", "pressure", "density", "angle", "dimensionless")
 
@@ -65,7 +65,8 @@ def test_quantity_refuses(text, dimension, message):
 
 def test_columns_are_converted_like_single_numbers():
     numbers = np.random.default_rng(0).uniform(-200, 200, 2000).round(2)
-    for unit, dimension in [("mm", "length"), ("kN", "force"), ("deg", "angle"), ("lbf", "force"), ("m", "length")]:
+    units: dict[str, Dimension] = {"mm": "length", "kN": "force", "deg": "angle", "lbf": "force", "m": "length"}
+    for unit, dimension in units.items():
         single = [quantity(f"{number} {unit}", dimension, "x") for number in numbers]
         found = to_si(numbers, unit, dimension, "x")
         np.testing.assert_array_max_ulp(found, np.array(single), maxulp=2)  # factor and product are rounded

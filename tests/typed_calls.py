@@ -7,6 +7,7 @@ import dataclasses
 import gc
 import sys
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -24,8 +25,8 @@ with install_import_hook("cddf_jax", CHECKER):
 
 OUT = Path(sys.argv[1])
 cddf.keep_programs(OUT / "programs")
-TAPER = {"length": 0.14, "outer_radius": (0.020, 0.013), "inner_radius": 0.007, "tendon_offset": 0.010}
-MATERIAL = {"youngs_modulus": 1.4e6, "friction_coefficient": 0.42, "density": 1070.0}
+TAPER: dict[str, Any] = {"length": 0.14, "outer_radius": (0.020, 0.013), "inner_radius": 0.007, "tendon_offset": 0.010}
+MATERIAL: dict[str, Any] = {"youngs_modulus": 1.4e6, "friction_coefficient": 0.42, "density": 1070.0}
 robot = cddf.conical(**TAPER, **MATERIAL)
 pair = cddf.conical(**TAPER, **MATERIAL, num_tendons=2)
 stepped = cddf.Manipulator(

@@ -14,6 +14,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -34,7 +35,7 @@ zarr = pytest.importorskip("zarr")
 
 SOLVES = 500
 SAME = 1e-12  # other lanes side by side: the compiler may order the same operations otherwise
-OPTIONS = {"outputs": ("tip_tension", "tip_position")}
+OPTIONS: dict[str, Any] = {"outputs": ("tip_tension", "tip_position")}
 STORED = (*OPTIONS["outputs"], "successful", "result")
 CHILD = ROOT / "tests" / "sweep_child.py"
 

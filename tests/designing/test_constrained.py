@@ -43,7 +43,7 @@ class Written:
 
     def __call__(self, x: np.ndarray) -> Point:
         if not self.answers(x):
-            return Point(x, *[np.nan] * 6, usable=False)
+            return Point(x, np.nan, *[np.nan * x] * 5, usable=False)
         (f, g, h), (df, dg, dh) = jax.tree.map(np.asarray, (self._values(x), self._slopes(x)))
         return Point(np.array(x), float(f), df, g, dg, h, dh)
 

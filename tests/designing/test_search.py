@@ -5,6 +5,7 @@ T = E (exp(mu phi) - 1) / (mu d H), H = int_0^L ds / J, and J = pi / 4 (R^4 - r^
 """
 
 from functools import lru_cache
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -40,7 +41,7 @@ def plain_volume(base, tip):
     return np.pi * L / 3 * (sum(R**2 for R in OUTER) + np.prod(OUTER) - base**2 - base * tip - tip**2)
 
 
-SOLID = plain_sag(*START)
+SOLID = float(plain_sag(*START))
 
 
 def sag(body, equilibrium):
@@ -48,9 +49,9 @@ def sag(body, equilibrium):
 
 
 def rod(bore):
-    inner = cddf.Linear(*bore, L)
+    inner = cddf.Linear(*bore, length=L)
     outer = cddf.Linear(*OUTER, L)
-    options = {"youngs_modulus": E, "friction_coefficient": MU}
+    options: dict[str, Any] = {"youngs_modulus": E, "friction_coefficient": MU}
     return cddf.Manipulator(length=L, outer_radius=outer, inner_radius=inner, tendons=(cddf.Tendon(OFFSET),), **options)
 
 

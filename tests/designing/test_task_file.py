@@ -105,7 +105,7 @@ def test_everything_along_a_body_is_stretched_with_it():
         before, after = getattr(body, name)(s), getattr(longer, name)(2 * s)
         assert np.asarray(after) == pytest.approx(np.asarray(before), rel=1e-12), name
     assert np.asarray(longer.offset(2 * s)) == pytest.approx(np.asarray(body.offset(s)), rel=1e-12)
-    assert float(longer.tendons[0].end) == pytest.approx(0.22, rel=1e-12)
+    assert longer.tendons[0].end == pytest.approx(0.22, rel=1e-12)
     assert longer.tendons[1].end is None
     assert float(longer.length) == 0.28
 

@@ -48,15 +48,17 @@ def restricted(y, floor, fraction):
         _, covariance, residual = weighted(y, variance)
         return np.sum(np.log(variance)) - np.linalg.slogdet(covariance)[1] + np.sum(residual**2 / variance)
 
-    predicted, logs = y, np.log([0.2, 0.05][: (floor is None) + (fraction is None)])
-    for _ in range(12):
+    def another_round(predicted, logs):
         if logs.size:
             options = {"xatol": 1e-8, "fatol": 1e-11, "maxiter": 2000}
             logs = optimize.minimize(cost, logs, args=(predicted,), method="Nelder-Mead", options=options).x
         f, g = parts(logs)
-        estimate, covariance, _ = weighted(y, f**2 + (g * predicted) ** 2)
-        predicted = DESIGN @ estimate
-    return f, g, estimate, covariance
+        return logs, f, g, *weighted(y, f**2 + (g * predicted) ** 2)[:2]
+
+    found = another_round(y, np.log([0.2, 0.05][: (floor is None) + (fraction is None)]))
+    for _ in range(11):
+        found = another_round(DESIGN @ found[3], found[0])
+    return found[1:]
 
 
 def kenward_roger(design, covariance, parts, row):
@@ -94,7 +96,8 @@ def test_restricted_likelihood(given):
     np.testing.assert_allclose([fit.value["a"], fit.value["b"]], estimate, rtol=1e-4)
     np.testing.assert_allclose(fit.covariance, covariance, rtol=4e-3)
     assert fit.noise_estimated == (None in given)
-    variance = fit.noise_model["data"].floor ** 2 + (fit.noise_model["data"].fraction * (DESIGN @ estimate)) ** 2
+    f, g = np.array(fit.noise_model["data"], float)
+    variance = f**2 + (g * (DESIGN @ estimate)) ** 2
     parts = [
         np.diag(part) for part, one in zip((np.ones(80), (DESIGN @ estimate) ** 2), given, strict=True) if one is None
     ]
@@ -124,7 +127,7 @@ def test_units_do_not_matter():
     unit = 1e6
     fit = least_squares_fit(line, START, readings(6), Noise())
     other = least_squares_fit(line, {"a": 1.5 * unit, "b": 1.5 * unit}, unit * readings(6), Noise())
-    floor, fraction = other.noise_model["data"]
+    floor, fraction = np.array(other.noise_model["data"], float)
     assert (floor / unit, fraction) == pytest.approx(fit.noise_model["data"], rel=1e-3)
     np.testing.assert_allclose(np.array(list(other.value.values())) / unit, list(fit.value.values()), rtol=1e-5)
     np.testing.assert_allclose(other.covariance / unit**2, fit.covariance, rtol=2e-3)

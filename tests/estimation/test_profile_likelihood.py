@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from kinds import root_of
 from scipy import optimize, stats
 from straight_line import (
     A_HAT,
@@ -34,7 +35,7 @@ B_ERROR = SIGMA * np.sqrt(COVARIANCE[1, 1])
 def test_a_linear_model_has_its_t_interval(sigma, name, i):
     spread, quantile = (SIGMA, NORMAL) if sigma else (np.sqrt(RSS / 28), stats.t.ppf(0.975, 28))
     profile = least_squares_fit(line, START, NOISY, sigma).profile(name)
-    half_width = quantile * spread * np.sqrt(COVARIANCE[i, i])
+    half_width = float(quantile * spread * np.sqrt(COVARIANCE[i, i]))
     expected = [A_HAT, B_HAT][i] + half_width * np.array([-1, 1])
     # estimated noise settles to 1e-4
     np.testing.assert_allclose(
@@ -89,7 +90,7 @@ def test_a_curved_model(name, held, reach):
     best = fit.value[name]
     least = held(best)
     limit = least * (1 + stats.t.ppf(0.975, 27) ** 2 / 27)  # the noise is the residual standard deviation
-    expected = [optimize.brentq(lambda v: held(v) - limit, best, best + side * reach) for side in (-1, 1)]
+    expected = [root_of(lambda v: held(v) - limit, best, best + side * reach) for side in (-1, 1)]
     np.testing.assert_allclose(profile.confidence_interval, expected, rtol=2e-4)
     below, above = best - expected[0], expected[1] - best
     assert abs(above / below - 1) > 0.05  # the interval of the linearisation is another
@@ -115,7 +116,7 @@ def test_a_side_that_flattens_is_open():
     data = 1.0 - np.exp(-3.0 * x)
     fit = least_squares_fit(lambda p: 1 - jnp.exp(-p["a"] * x), {"a": 3.0}, data, 0.05, {"a": (0.0, None)})
     profile = fit.profile("a")
-    low = optimize.brentq(lambda a: np.sum(((np.exp(-a * x) - np.exp(-3 * x)) / 0.05) ** 2) - NORMAL**2, 0.1, 3.0)
+    low = root_of(lambda a: np.sum(((np.exp(-a * x) - np.exp(-3 * x)) / 0.05) ** 2) - NORMAL**2, 0.1, 3.0)
     assert profile.closed == (True, False)
     assert profile.confidence_interval == (pytest.approx(low, rel=1e-4), np.inf)
 

@@ -49,7 +49,7 @@ def test_the_way_back_of_tip_angles():
     np.testing.assert_allclose(found.base_tension, PATH, rtol=1e-10)
     on = cddf.trace(body, cddf.TipAngle(history.tip_angle), start=history)
     np.testing.assert_allclose(on.base_tension, PATH, rtol=1e-10)
-    np.testing.assert_array_equal(on.num_turns[5:], history.num_turns[5:])
+    np.testing.assert_array_equal(np.asarray(on.num_turns)[5:], np.asarray(history.num_turns)[5:])
     with pytest.raises(cddf.SolveError, match="No base tension between slack"):
         cddf.trace(body, cddf.TipAngle([1e3] * 8))
     with pytest.raises(cddf.SolveError, match="not physical"):

@@ -16,7 +16,7 @@ MOMENT, EXPONENT, DRAG = 2e-3, 0.3, 0.2  # N m, -, N
 PULLS = np.array([1.0, 3.0, 4.0, 3.8, 2.0, 0.5, 2.5])
 
 
-def body(friction=0.0, compliance=COMPLIANCE, moment=None, **outside):
+def body(friction=0.0, compliance: float | None = COMPLIANCE, moment=None, **outside):
     tendon = cddf.Tendon(OFFSET, end=REACH, outside_compliance=compliance, **outside)
     return cddf.Manipulator(
         length=0.18,

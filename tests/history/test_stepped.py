@@ -454,7 +454,7 @@ def test_bad_input_is_refused(exact):
     with pytest.raises(ValueError, match="2 steps and 1 loads"):
         cddf.trace(ONE, [1.0, 2.0], [LOAD])
     with pytest.raises(TypeError, match="must be a Loads"):
-        cddf.trace(ONE, [1.0, 2.0], 3.0)
+        cddf.trace(ONE, [1.0, 2.0], 3.0)  # pyright: ignore[reportArgumentType]
     with pytest.raises(ValueError, match="short_steps"):
         cddf.trace(PAIR, PATH, short_steps=0)
     with pytest.raises(ValueError, match="start is a history of one tendon"):

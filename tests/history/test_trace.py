@@ -6,6 +6,7 @@ g(s) = (mu/E) int_0^s d/J, and mu phi is the integral of T over g.
 
 import functools
 from itertools import pairwise
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -25,9 +26,9 @@ from bodies import (
     plain_of,
 )
 from hypothesis import given, settings, strategies as st
+from kinds import of_kind, root_of
 from refusals import refused
 from scipy.integrate import quad, solve_ivp
-from scipy.optimize import brentq
 
 import cddf_jax as cddf
 
@@ -100,7 +101,7 @@ def test_a_path_of_several_blocks():
 @pytest.mark.slow
 def test_the_shape_is_the_integral_of_its_heading():
     history, s = cddf.trace(BODY, [75.0, 40.0, 60.0, 50.0]), np.linspace(0, LENGTH, 20001)
-    along = history.at(s)
+    along = of_kind(cddf.Fields, history.at(s))
     heading = np.asarray(along.heading)
     for component, function in enumerate((np.cos, np.sin)):
         found = np.trapezoid(function(heading), s, axis=1)
@@ -124,13 +125,13 @@ def test_a_front_with_drag_where_the_tendon_would_lock(path):
     def growth(s, T):
         return MU * OFFSET / stiffness(s) * T**2 + drag
 
-    exact = {"rtol": 1e-12, "atol": 1e-12}
+    exact: dict[str, Any] = {"rtol": 1e-12, "atol": 1e-12}
     pulled = solve_ivp(lambda s, T: -growth(s, T), (0, LENGTH), path[:1], dense_output=True, **exact).sol
 
     def meets(s, T):
         return T[0] - pulled(s)[0]
 
-    meets.terminal, meets.direction = True, 1
+    vars(meets).update(terminal=True, direction=1)
     front = solve_ivp(growth, (0, LENGTH), path[1:], events=meets, **exact).t_events[0][0]
     history = cddf.trace(paper_body("exact", drag=drag), path)
     np.testing.assert_allclose(history.front[1], front, rtol=1e-9)
@@ -154,7 +155,7 @@ def test_with_drag_against_an_integration():
         return solve_ivp(rate, (0, LENGTH), [tension], rtol=1e-12, atol=1e-12, dense_output=True).sol
 
     pulled, released = branch(70.0, 1), branch(45.0, -1)
-    front = brentq(lambda s: pulled(s)[0] - released(s)[0], 0, LENGTH, xtol=1e-15)
+    front = root_of(lambda s: pulled(s)[0] - released(s)[0], 0, LENGTH, xtol=1e-15)
     history = cddf.trace(paper_body("exact", drag=drag), [70.0, 45.0])
     np.testing.assert_allclose(history.front[1], front, rtol=1e-9)
     s = np.linspace(0, LENGTH, 41)

@@ -1,14 +1,17 @@
 """The errors of a bench: what is put into simulated readings comes out of the fit, with its true scatter."""
 
+from typing import Any
+
 import jax
 import numpy as np
 import pytest
 from bodies import paper_body
+from kinds import bench_of
 from scipy import stats
 from test_fit import LEVELS, MU, E, closed_form, wrap
 
 import cddf_jax as cddf
-from cddf_jax.identification.bench import Bench, BenchModel, experiment_of
+from cddf_jax.identification.bench import Bench, BenchModel
 from cddf_jax.identification.parameters import (
     OF_SPACE,
     OF_STRETCH,
@@ -27,7 +30,7 @@ TRIAL = np.repeat(np.arange(6), LEVELS.size)
 CELL, ANGLE = 0.2, 0.005  # standard deviations, N and rad
 
 
-def readings(seed, base=BASE, mu=MU, gain=1.0, zero=0.0, turned=0.0, pretension=0.0, **columns):
+def readings(seed, base=BASE, mu: Any = MU, gain=1.0, zero=0.0, turned=0.0, pretension=0.0, **columns):
     """Tensions and angles of the closed form, exact kinematics, as imperfect instruments read them."""
     rng = np.random.default_rng(seed)
     tip = gain * (closed_form(base + pretension, mu) - pretension) + zero + CELL * rng.normal(size=base.size)
@@ -69,7 +72,7 @@ def test_gain_and_zeros_of_the_instruments(paper):
 def test_what_the_cells_read(paper):
     """Under a pretension of 2 N: 1.02 (T - 2 N) + 0.5 N at the base, 1.1 (T_tip - 2 N) - 0.3 N at the tip."""
     tension = np.array([20.0, 50.0, 80.0])
-    bench = experiment_of(readings(1, 1.02 * (tension - 2.0) + 0.5), paper)
+    bench = bench_of(readings(1, 1.02 * (tension - 2.0) + 0.5), paper)
     errors = {"base_gain": 1.02, "base_zero": 0.5, "pretension": 2.0, "tip_gain": 1.1, "tip_zero": -0.3}
     read = jax.jit(lambda p: bench.predict(paper, p, 16))(errors | {"angle_zero": 0.01})
     np.testing.assert_allclose(read["tip_tension"], 1.1 * (closed_form(tension) - 2.0) - 0.3, rtol=1e-7)
@@ -194,9 +197,9 @@ def test_which_rows_lie_on_one_curve(paper):
         "slides out": (paper, {"direction": [1.0, -1.0]}),
         "two tendons": (paper_body("exact", num_tendons=2), {"base_tension_2": [0.0, 0.0]}),
     }
-    assert experiment_of(Measurements.from_columns("bench", **columns), paper).on_one_curve
+    assert bench_of(Measurements.from_columns("bench", **columns), paper).on_one_curve
     for body, extra in others.values():
-        assert not experiment_of(Measurements.from_columns("bench", **columns, **extra), body).on_one_curve
+        assert not bench_of(Measurements.from_columns("bench", **columns, **extra), body).on_one_curve
 
 
 @pytest.mark.parametrize(

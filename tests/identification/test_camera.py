@@ -3,6 +3,7 @@
 import dataclasses
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -73,7 +74,7 @@ class NotRefusedError(Exception):
     """The search would begin."""
 
 
-def reaching(monkeypatch, x, **options):
+def reaching(monkeypatch, x, **options) -> str:
     """The refusal of a table whose third row reads tip_x = `x`, or "" where it is taken; no fit is made."""
 
     def search(*_, **__):
@@ -81,12 +82,9 @@ def reaching(monkeypatch, x, **options):
 
     monkeypatch.setattr("cddf_jax.identification.fit.least_squares_fit", search)
     table = cddf.Measurements.from_columns("bench", base_tension=[1.0, 2.0, 3.0], tip_x=[0.1, 0.1, x])
-    try:
+    with pytest.raises((NotRefusedError, InputError)) as raised:
         cddf.fit(paper_body("exact"), table, **options)
-    except NotRefusedError:
-        return ""
-    except InputError as error:
-        return str(error)
+    return str(raised.value)
 
 
 @pytest.mark.parametrize(
@@ -118,7 +116,7 @@ def test_poses_of_three_tendons_in_the_frame_of_a_tracker():
     truth |= {f"camera_{axis}": value for axis, value in zip("xyz", pose, strict=True)}
     truth |= {f"camera_turn_{axis}": value for axis, value in zip("xyz", turn, strict=True)}
     tendons = tuple(cddf.Tendon(8.6e-3, angle=cddf.Constant(np.radians(6.302536 + 120 * i))) for i in range(3))
-    numbers = {"youngs_modulus": 1e6, "friction_coefficient": 0.2, "poissons_ratio": 0.45}
+    numbers: dict[str, Any] = {"youngs_modulus": 1e6, "friction_coefficient": 0.2, "poissons_ratio": 0.45}
     body = cddf.Manipulator(0.201, 11.4e-3, 3e-3, tendons, **numbers)
     table = cddf.read_measurements(Path(__file__).with_name("three_tendon_poses_simulated.csv"))
     fit = cddf.fit(body, table, FREE, history=False, leave_out="27, 33")  # parts of tendons stick there

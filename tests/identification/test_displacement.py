@@ -1,15 +1,16 @@
 """Fits of benches whose tendons are driven by displacement: what they determine, and what they do not."""
 
 from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from kinds import bench_of
 from refusals import refused
 
 import cddf_jax as cddf
-from cddf_jax.identification.bench import experiment_of
 from cddf_jax.identification.course import course_of, paths_of
 from cddf_jax.identification.fit_inputs import courses_of
 from cddf_jax.identification.parameters import BenchSetting, of_all_tendons, slack_offsets
@@ -24,7 +25,7 @@ ANGLE, TENSION = 2e-4, 0.01  # noise, rad and N
 
 def robot(modulus=MODULUS, mu=MU, compliance: float | None = COMPLIANCE, tendons=1):
     own = tuple(cddf.Tendon(D, side, outside_compliance=compliance) for side in (1, -1)[:tendons])
-    numbers = {"youngs_modulus": modulus, "friction_coefficient": mu}
+    numbers: dict[str, Any] = {"youngs_modulus": modulus, "friction_coefficient": mu}
     return cddf.Manipulator(length=0.14, outer_radius=0.012, inner_radius=0.007, tendons=own, **numbers)
 
 
@@ -159,7 +160,7 @@ def test_one_tendon_by_tension_and_another_by_displacement():
     history = cddf.trace(body, [pull, cddf.Displacement(there)], nodes=8, short_steps=4)
     columns = {"base_tension": pull, "displacement_2": there + 1e-3, "tip_angle": np.zeros(8), "step": range(8)}
     table = Measurements.from_columns("simulated", **columns)
-    rows = experiment_of(table, body, course=course_of(table, {"base_tension": 0.0, "displacement": 0.0})[0])
+    rows = bench_of(table, body, course=course_of(table, {"base_tension": 0.0, "displacement": 0.0})[0])
     found = rows.predict(body, {"slack_offset_2": np.asarray(1e-3)}, 16)
     np.testing.assert_allclose(found["tip_angle"], history.tip_angle, atol=1e-9)
 
@@ -227,7 +228,7 @@ def test_slack_offsets_of_trials():
             "1, in their order"
         )
     courses, _ = courses_of(guess(), [plain, one], None, "rest", ["slack_offset_trial_1"], {}, 4, BenchSetting())
-    assert [course[0].number.tolist() for course in courses if course] == [[1], [2]]
+    assert [np.asarray(course[0].number).tolist() for course in courses if course] == [[1], [2]]
 
 
 @pytest.mark.slow
@@ -248,10 +249,10 @@ def test_trials_stay_where_each_row_is_pulled_from_rest():
     table = Measurements.from_columns("bench", displacement=[1e-3, 2e-3] * 2, tip_angle=np.zeros(4), trial=[*"aabb"])
     rows = paths_of(table, None)
     here = course_of(table, {"displacement": 0.0}, paths=rows)[0]
-    bench = experiment_of(table, robot(), course=here)
+    bench = bench_of(table, robot(), course=here)
     assert here.each_from_rest
     assert bench.in_order is None
-    assert bench.trial[here.first_row].tolist() == [0, 0, 1, 1]
+    assert np.asarray(bench.trial)[here.first_row].tolist() == [0, 0, 1, 1]
 
 
 def test_where_a_tendon_begins_to_pull_does_not_contradict_a_direction():
@@ -306,7 +307,7 @@ def test_a_displacement_beside_base_tensions_is_a_reading():
 @pytest.mark.slow
 def test_how_rows_ended_is_the_same_with_and_without_derivatives():
     table = loop(1e-3)
-    rows = experiment_of(table, robot(), course=course_of(table)[0])
+    rows = bench_of(table, robot(), course=course_of(table)[0])
     known = {"slack_offset": 1.2e-3, "outside_compliance": COMPLIANCE}
     whole, bare = (each(robot(), known, 16) for each in (rows.evaluate, rows.solved))
     np.testing.assert_array_equal(bare.status, whole.status)

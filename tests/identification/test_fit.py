@@ -1,6 +1,7 @@
 """Friction and modulus from tables, against the truth put in, closed forms and SciPy with the same weights."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,12 +25,12 @@ PULLEY = cddf.read_measurements(DATA / "pulley_simulated.csv")
 LEVELS = np.arange(5.0, 86.0, 5.0)  # as in Fig. 8; tables of one size and name share what is compiled
 
 
-def closed_form(base_tension, mu=MU, modulus=E, direction=+1):
+def closed_form(base_tension, mu=MU, modulus=E, direction: Any = +1):
     """Tip tension, docs/theory.md (16); for a tendon that slides out the friction has the other sign."""
     return base_tension / (1 + direction * mu / modulus * base_tension * COMPLIANCE)
 
 
-def wrap(base_tension, mu=MU, modulus=E, direction=+1):
+def wrap(base_tension, mu=MU, modulus=E, direction: Any = +1):
     """Tip angle in the exact kinematics: ln(T_base / T_tip) / mu, docs/identifiability.md."""
     return np.log(base_tension / closed_form(base_tension, mu, modulus, direction)) / (direction * mu)
 
@@ -367,7 +368,7 @@ def test_a_tendon_that_slides_out(tip_angle):
 
 def test_an_unknown_kind_of_history_is_refused():
     with pytest.raises(InputError, match=r"fit: history must be True, False, None or 'each', got 'every'"):
-        cddf.fit(PAPER, bench(LEVELS), history="every")
+        cddf.fit(PAPER, bench(LEVELS), history="every")  # pyright: ignore[reportArgumentType]
 
 
 def test_rows_whose_fibres_cross_are_reported():

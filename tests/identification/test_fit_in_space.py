@@ -6,11 +6,11 @@ import jax
 import numpy as np
 import pytest
 from bodies import paper_body, three_tendon_tube
+from kinds import bench_of, of_kind
 from scipy.spatial.transform import Rotation
 
 import cddf_jax as cddf
 from cddf_jax.errors import InputError
-from cddf_jax.identification.bench import experiment_of
 from cddf_jax.identification.course import course_of
 from cddf_jax.identification.parameters import PLAIN
 
@@ -41,7 +41,7 @@ def test_a_marker_on_the_axis_at_the_tip_is_the_tip():
     body, pulls = in_plane(), np.array([10.0, 40.0])
     columns = {"tip_x": [0.0, 0.0], "tip_y": [0.0, 0.0], "x@140mm": [0.0, 0.0], "y@140mm": [0.0, 0.0]}
     table = cddf.Measurements.from_columns("zeros", base_tension=pulls, **columns)
-    shown = experiment_of(table, body).evaluate(body, {"camera_turn_z": np.pi / 2, "camera_x": 0.1}, 16).readings
+    shown = bench_of(table, body).evaluate(body, {"camera_turn_z": np.pi / 2, "camera_x": 0.1}, 16).readings
     np.testing.assert_allclose(shown["x@140mm"], shown["tip_x"], atol=1e-12)
     np.testing.assert_allclose(shown["y@140mm"], shown["tip_y"], atol=1e-12)
     straight = [cddf.solve(body, pull).tip_position for pull in pulls]
@@ -162,7 +162,8 @@ def test_a_marker_on_a_loop_brings_friction_modulus_and_camera_back():
     """A marker on the side of the body, by `solve` as above; the camera is shifted by 10 mm."""
     offset = np.array([0.002, 0.011])
     fields, columns = loop(in_plane(friction_coefficient=MU, youngs_modulus=E), HEAD.arc_length)
-    cos, sin = (np.array([function(float(f.heading)) for f in fields]) for function in (np.cos, np.sin))
+    headings = np.array([of_kind(cddf.Fields, f).heading for f in fields])
+    cos, sin = np.cos(headings), np.sin(headings)
     axis = np.array([f.position for f in fields]).T
     columns |= {
         "x@head": axis[0] + cos * offset[0] - sin * offset[1] + 0.01,
@@ -185,13 +186,13 @@ def test_a_marker_and_the_tip_on_a_loop_in_space_as_a_camera_sees_them():
     """The same in space, without a fit: the positions and frames of `solve`, turned by SciPy."""
     body = winding()
     tips, (fields, columns) = loop(body, 0.14)[0], loop(body, HEAD.arc_length)
-    heads = [f.position + np.asarray(f.frame) @ np.array(HEAD.offset) for f in fields]
+    heads = [f.position + np.asarray(of_kind(cddf.SpatialFields, f).frame) @ np.array(HEAD.offset) for f in fields]
     turn = Rotation.from_rotvec(CAMERA[3:])
     for end, places in (("@head", heads), ("", [tip.position for tip in tips])):
         seen = turn.apply(np.array(places)) + CAMERA[:3]
         columns |= {f"{axis}@head" if end else f"tip_{axis}": seen[:, i] for i, axis in enumerate("xyz")}
     table = cddf.Measurements.from_columns("simulated", **columns)
-    rows = experiment_of(table, body, course=course_of(table)[0], setting=cddf.BenchSetting(markers={"head": HEAD}))
+    rows = bench_of(table, body, course=course_of(table)[0], setting=cddf.BenchSetting(markers={"head": HEAD}))
     shown = rows.predict(body, dict(zip(POSE, CAMERA, strict=True)), 16)
     assert len(shown) == 6
     for name, values in shown.items():
@@ -204,13 +205,13 @@ def test_markers_of_a_history_under_loads():
     loads, pulls = cddf.Loads(tip_force=(0.0, -0.5, 0.3)), [10.0, 30.0, 5.0]
     table = cddf.Measurements.from_columns("simulated", base_tension=pulls, step=[1, 2, 3], **{"x@head": [0.1] * 3})
     setting, body = cddf.BenchSetting(loads=loads, markers={"head": HEAD}), winding()
-    rows = experiment_of(table, body, course=course_of(table, stepped=True)[0], setting=setting)
+    rows = bench_of(table, body, course=course_of(table, stepped=True)[0], setting=setting)
     found = rows.shown(body, {}, 8)
     expected = cddf.trace(body, pulls, loads, nodes=4, short_steps=4, throw=False)
     np.testing.assert_allclose(found.tip_position, expected.tip_position, atol=1e-9)
-    fields = expected.at(0.08)
+    fields = of_kind(cddf.SpatialFields, expected.at(0.08))
     heads = np.asarray(fields.position) + np.einsum("sij,j->si", np.asarray(fields.frame), np.array(HEAD.offset))
-    np.testing.assert_allclose(found.markers[:, 0], heads, atol=1e-9)
+    np.testing.assert_allclose(np.asarray(found.markers)[:, 0], heads, atol=1e-9)
 
 
 @pytest.mark.slow
@@ -241,7 +242,7 @@ def test_rows_under_loads_in_space():
     gravity, pulls, weights = np.array([0.0, 0.0, -9.81]), np.array([10.0, 5000.0, 40.0]), [0.1, 0.0, -0.2]
     columns = {"direction": [1, 1, 1], "tip_force_z": [0.2, 0.1, 0.0], "force_y@80mm": weights, "tip_z": np.zeros(3)}
     table = cddf.Measurements.from_columns("rows", base_tension=pulls, **columns)
-    bench = experiment_of(table, body, setting=cddf.BenchSetting(cddf.Loads(gravity=gravity)))
+    bench = bench_of(table, body, setting=cddf.BenchSetting(cddf.Loads(gravity=gravity)))
     shown = bench.evaluate(body, {"friction_coefficient": 0.42}, 12)
     good = shown.status == cddf.Status.successful
     assert good.tolist() == [True, False, True]
@@ -286,7 +287,7 @@ ROD = dataclasses.replace(paper_body("exact"), tendons=(cddf.Tendon(offset=2.5e-
 
 def with_angles(angles, body=ROD, **options):
     table = cddf.Measurements.from_columns("bench", base_tension=TENSIONS, tip_angle=np.radians(angles))
-    return experiment_of(table, body, **options)
+    return bench_of(table, body, **options)
 
 
 @pytest.mark.parametrize(
@@ -307,9 +308,8 @@ def test_tip_angles_that_a_body_in_space_cannot_have(angles, words):
     with pytest.raises(InputError, match=words):
         with_angles(angles)
     assert with_angles(angles, paper_body("exact")).columns == ("tip_angle",)  # the plane has signs and whole turns
-    free = {"free": ("angle_zero",)}
     with pytest.raises(InputError, match="column tip_angle"):  # nor does a free zero hide them
-        with_angles(angles[::-1] if angles[0] == -60.0 else [*angles[1:], angles[0]], **free)
+        with_angles(angles[::-1] if angles[0] == -60.0 else [*angles[1:], angles[0]], free=("angle_zero",))
 
 
 def test_tip_angles_with_noise_and_a_zero():
@@ -334,7 +334,7 @@ def test_rows_that_were_each_pulled_from_rest():
     columns = dict(zip(names, pulls.T, strict=True))
     columns |= {f"tip_{axis}": [float(each.tip_position[0, i]) for each in read] for i, axis in enumerate("xyz")}
     columns |= {"tip_tension": [float(each.tip_tension[0, 0]) for each in read]}
-    table = cddf.Measurements.from_columns("rows", notes=("simulated",), **columns)
+    table = cddf.Measurements.from_columns("rows", **columns)
     noise = {"tip_x": 1e-4, "tip_y": 1e-4, "tip_z": 1e-4, "tip_tension": 0.02, "base_tension": 0.0}
     start = dataclasses.replace(body, friction_coefficient=0.2, youngs_modulus=1.2e6)
     found = cddf.fit(start, table, noise=noise)

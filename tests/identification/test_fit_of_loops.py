@@ -6,22 +6,26 @@ g = (mu/E) int d/J; the tip angle has a closed form too.
 
 import dataclasses
 from itertools import pairwise
+from typing import Any
 
 import equinox as eqx
 import numpy as np
 import pytest
 from bodies import paper_body
+from kinds import bench_of, of_kind
 from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
+from read_back import x_of, xy_of
 from test_fit import COMPLIANCE, MU, E
 
 import cddf_jax as cddf
 from cddf_jax import figures
 from cddf_jax.errors import InputError
-from cddf_jax.identification.bench import experiment_of
+from cddf_jax.estimation.residuals import InputErrors
 from cddf_jax.identification.course import course_of
 from cddf_jax.identification.experiment_design import Candidate
 from cddf_jax.identification.random_effects import errors_of_base
-from cddf_jax.identification.tension_before import Start, first_guesses, starts_of
+from cddf_jax.identification.tension_before import Past, Start, first_guesses, starts_of
 from cddf_jax.measurements.jitter import turns_of, without_jitter
 from cddf_jax.measurements.table import Measurements
 from cddf_jax.reports.fit_report import fit_as_dict, fit_as_markdown, make_report
@@ -34,7 +38,7 @@ ALL = ("friction_coefficient", "youngs_modulus", "tip_gain", "tip_zero")
 BODY = paper_body("exact")
 
 
-def loop(tension=LOOP, mu=MU, modulus=E):
+def loop(tension: ArrayLike = LOOP, mu=MU, modulus=E):
     """Tip tension and tip angle of a pull from rest and a release."""
     tension = np.asarray(tension, float)
     g, top = mu / modulus * COMPLIANCE, int(np.argmax(tension))
@@ -141,16 +145,16 @@ def test_a_fit_of_a_loop_is_drawn_as_a_loop(fitted):
     axes = figures.draw_fit(fitted, column="tip_angle", axes=Figure().subplots())
     lines = {line.get_label(): line for line in axes.lines if str(line.get_label()).startswith("model")}
     for label, first, last in (("model, pulled", 5.0, 85.0), ("model, released", 85.0, 5.0)):
-        x, y = lines[label].get_data()
+        x, y = xy_of(lines[label])
         assert (x[0], x[-1]) == (first, last)
-        expected = loop(x if last > first else [*x[:1], *x[1:]])[1]
+        expected = loop(x)[1]
         np.testing.assert_allclose(y, np.degrees(expected), rtol=1e-6)
-    markers = {line.get_label(): line.get_xdata() for line in axes.lines if line.get_linestyle() == "None"}
+    markers = {line.get_label(): x_of(line) for line in axes.lines if line.get_linestyle() == "None"}
     assert {"data, pulled", "data, released"} <= set(markers)
     np.testing.assert_allclose(np.sort(markers["data, pulled"]), UP)
     np.testing.assert_allclose(np.sort(markers["data, released"]), UP[:-1])
     axes = figures.draw_residuals(fitted, column="tip_angle", axes=Figure().subplots())
-    drawn = sum(len(line.get_xdata()) for line in axes.lines if line.get_marker() in ("o", "v"))
+    drawn = sum(len(x_of(line)) for line in axes.lines if line.get_marker() in ("o", "v"))
     assert drawn == LOOP.size
 
 
@@ -227,7 +231,7 @@ def test_a_row_without_a_reading_is_still_a_step():
     gap = Measurements.from_columns("bench", **columns)
     assert "rows without a reading are steps of the path all the same: 1 of 3 rows (row 2 first)" in gap.read_as[0]
     np.testing.assert_array_equal(course_of(gap)[0].readings[0, :3, 0], [10.0, 60.0, 20.0])
-    np.testing.assert_array_equal(experiment_of(gap, BODY).read_in["tip_tension"], [0, 2])
+    np.testing.assert_array_equal(bench_of(gap, BODY).read_in["tip_tension"], [0, 2])
 
 
 # --- what was before the first row ---------------------------------------------------------------------
@@ -259,7 +263,7 @@ def scaled_slopes(free):
     table = released()
     truth = {"friction_coefficient": MU, "youngs_modulus": E, "before": 57.0}
     course = course_of(table, starts=[Start((None,), ("before",))])[0]
-    slopes = experiment_of(table, BODY, course=course).evaluate(BODY, truth, 16).derivatives
+    slopes = bench_of(table, BODY, course=course).evaluate(BODY, truth, 16).derivatives
     places = [sorted(truth).index(name) for name in free]
     return [slopes[column][:, places] * [truth[name] for name in free] / NOISE[column] for column in NOISE]
 
@@ -320,7 +324,7 @@ def test_trials_begin_in_their_own_ways():
     both = Measurements.from_columns("bench", **columns, tip_tension=tip, tip_angle=angle)
     start = starts_of([2], "rest", ["before_2"])[0]
     course = course_of(both, starts=start)[0]
-    assert course.past.parameters == (("",), ("before_2",))
+    assert of_kind(Past, course.past).parameters == (("",), ("before_2",))
     np.testing.assert_array_equal(course.path({"before_2": 50.0})[:, 0, 0], [0.0, 50.0])  # 0 N is rest
     assert course_of(both, starts=starts_of([2], ["rest", 60.0], [])[0])[0].past_in_words == ["rest", "60 N"]
     assert starts_of([2], ["rest", 70.0], ["before"])[0] == [Start((None,), ("",)), Start((70.0,), ("before",))]
@@ -329,7 +333,7 @@ def test_trials_begin_in_their_own_ways():
         [],
         [Start((None,), ("before",))],
     ]
-    bench = experiment_of(both, BODY, course=course)
+    bench = bench_of(both, BODY, course=course)
     truth = {"friction_coefficient": MU, "youngs_modulus": E, "before_2": 60.0}
     read = bench.predict(BODY, {name: np.asarray(value) for name, value in truth.items()}, 16)
     np.testing.assert_allclose(read["tip_tension"], tip, rtol=1e-9)
@@ -391,7 +395,7 @@ def test_the_course_of_several_tendons():
     assert steady.noise == pytest.approx(np.std(second, ddof=1), rel=0.1)
     force = np.where(np.arange(20) < 10, -0.2, -0.5)
     course = course_of(pair_table(tip_force_y=force))[0]
-    np.testing.assert_allclose(course.forces[0, :, 0, 1], force)
+    np.testing.assert_allclose(np.asarray(course.forces)[0, :, 0, 1], force)
     assert course.stays == (False,)
     both = course_of(pair_table(**{"tip_force_y": force, "force_y@60mm": np.full(20, -0.2)}))[0]
     assert both.stays == (False, True)
@@ -421,7 +425,7 @@ def test_what_came_before_several_tendons():
         ("rest", ["before_tendon_3"], "before_tendon_3 belongs to tendon 3, but the body has 2"),
     ):
         with pytest.raises(InputError, match=message):
-            starts_of([1], before, free, 2)
+            starts_of([1], before, free, 2)  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.slow
@@ -449,7 +453,7 @@ def test_a_loop_of_two_tendons_brings_the_truth_back():
 
 
 HEAVY = cddf.Loads(tip_force=(0.0, -0.3), gravity=(0.0, -9.81))
-AS_FITTED = {"nodes": 8, "short_steps": 4}  # of `trace`, with which it has the cells and steps of a fit
+AS_FITTED: dict[str, Any] = {"nodes": 8, "short_steps": 4}  # of `trace`, with which it has the cells and steps of a fit
 
 
 def heavy():
@@ -466,7 +470,7 @@ def test_what_two_tendons_had_before():
     table = Measurements.from_columns("pair", **columns, tip_tension=np.zeros(3), tip_angle=np.zeros(3))
     course = course_of(table, starts=[Start((None, None), ("before", ""))])[0]
     assert course.past_in_words == ["fitted (before) and 20 N"]
-    shown = experiment_of(table, PAIR, course=course).predict(PAIR, {"before": np.asarray(62.0)}, 16)
+    shown = bench_of(table, PAIR, course=course).predict(PAIR, {"before": np.asarray(62.0)}, 16)
     np.testing.assert_allclose(shown["tip_tension"], history.tip_tension[:, 0], rtol=1e-9)
     np.testing.assert_allclose(shown["tip_angle"], history.tip_angle, atol=1e-9)
 
@@ -500,7 +504,7 @@ def test_a_tip_force_that_changes_under_gravity():
     read = {"tip_tension": np.zeros(4), "tip_angle": np.zeros(4), "tip_y": np.zeros(4)}
     table = Measurements.from_columns("bench", **columns, **read)
     course = course_of(table, starts=[Start((before,), ("",))], stepped=True)[0]
-    rows = experiment_of(table, heavy(), course=course, setting=cddf.BenchSetting(loads=gravity))
+    rows = bench_of(table, heavy(), course=course, setting=cddf.BenchSetting(loads=gravity))
     shown = rows.predict(heavy(), {}, 16)
     np.testing.assert_allclose(shown["tip_tension"], history.tip_tension, rtol=1e-9)
     np.testing.assert_allclose(shown["tip_angle"], history.tip_angle, atol=1e-9)
@@ -512,12 +516,12 @@ def test_loads_of_all_rows_leave_no_exact_answer():
     course, _ = course_of(table(UP), stepped=True)
     assert course.short_steps == 4
     setting = cddf.BenchSetting(loads=HEAVY)
-    rows = experiment_of(table(UP), heavy(), course=course, setting=setting)
+    rows = bench_of(table(UP), heavy(), course=course, setting=setting)
     assert not rows.on_one_curve
     pull = {"base_tension": PULLS[:10], "base_tension_2": np.full(10, 20.0), "tip_angle": np.zeros(10)}
     pair = Measurements.from_columns("pair", step=range(10), **pull)
-    assert not experiment_of(pair, PAIR, course=course_of(pair)[0]).on_one_curve
-    assert experiment_of(table(UP), BODY, course=course_of(table(UP))[0]).on_one_curve
+    assert not bench_of(pair, PAIR, course=course_of(pair)[0]).on_one_curve
+    assert bench_of(table(UP), BODY, course=course_of(table(UP))[0]).on_one_curve
     with pytest.raises(InputError, match=r"bench: loads\.gravity: the body has no weight"):
         cddf.fit(BODY, table(UP), setting=setting)
 
@@ -603,7 +607,8 @@ def test_the_peak_of_held_samples_stays(noise):
 
 def test_derivatives_by_base_tensions_follow_the_memory(fitted):
     """Every reading by every base tension, against differences of the closed form; the tip remembers the peak."""
-    slopes = errors_of_base(fitted.model, fitted.tables, {}).slopes(fitted.parameters)["bench: base_tension"]
+    errors = of_kind(InputErrors, errors_of_base(fitted.model, fitted.tables, {}))
+    slopes = errors.slopes(fitted.parameters)["bench: base_tension"]
     step, away = fitted.tables[0]["step"].astype(int), 1e-3
     moved = [np.stack([loop(LOOP + sign * away * unit) for sign in (-1, 1)]) for unit in np.eye(LOOP.size)]
     expected = np.stack([(up - down) / (2 * away) for down, up in moved])  # (levels, columns, steps)

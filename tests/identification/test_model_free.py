@@ -4,8 +4,11 @@ Expected values come from the capstan law itself, T_tip = T_base exp(-mu theta),
 standard errors from Monte Carlo with seeded noise; distributions from what a test statistic must follow.
 """
 
+from typing import Any
+
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 from places import DATA
 from refusals import refused
 from scipy import stats
@@ -20,9 +23,9 @@ NOISE = {"base_tension": 0.05, "tip_tension": 0.2, "tip_angle": np.radians(0.5)}
 REPLICATES = 2000
 
 
-def table_of(base, angle, mu=MU, noise=None, rng=None, **columns):
+def table_of(base, angle, mu: ArrayLike = MU, noise=None, rng: Any = None, **columns):
     """A table that follows the law, plus noise."""
-    values = {"base_tension": base, "tip_tension": base * np.exp(-mu * angle), "tip_angle": angle}
+    values = {"base_tension": base, "tip_tension": base * np.exp(-np.multiply(mu, angle)), "tip_angle": angle}
     if noise is not None:
         values = {name: exact + noise[name] * rng.standard_normal(len(base)) for name, exact in values.items()}
     return Measurements.from_columns("bench", **values, **columns)

@@ -1,5 +1,7 @@
 """What else makes loops by displacement, beside friction on the body; and loops that no friction makes."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -26,7 +28,7 @@ def robot(friction, moment=None):
 def table(angle, pulled=PULLED):
     noise = NOISE * np.random.default_rng(3).normal(size=len(pulled))
     columns = {"displacement": pulled, "time": TIME[: len(pulled)], "tip_angle": np.asarray(angle) + noise}
-    return cddf.Measurements.from_columns("simulated", notes=(), **columns)
+    return cddf.Measurements.from_columns("simulated", **columns)
 
 
 def fitted(data):
@@ -105,12 +107,11 @@ def test_a_curve_without_a_loop_has_no_width(power):
 def test_tables_that_pull_one_tendon_of_three():
     """Each table by its own tendon; the others hang slack. All numbers are those that the data were made with."""
     tendons = [cddf.Tendon(D, angle=2 * np.pi * i / 3, outside_compliance=COMPLIANCE) for i in range(3)]
-    stiffness = {"bending_stiffness": STIFFNESS, "torsional_stiffness": STIFFNESS}
+    stiffness: dict[str, Any] = {"bending_stiffness": STIFFNESS, "torsional_stiffness": STIFFNESS}
     body = cddf.Manipulator(length=0.14, tendons=tendons, friction_coefficient=0.3, **stiffness)
     pulled, data = PULLED[:14], []
     for number in (2, 3):
-        path = [np.zeros(14), np.zeros(14), np.zeros(14)]
-        path[number - 1] = cddf.Displacement(pulled)
+        path = [cddf.Displacement(pulled) if tendon == number else np.zeros(14) for tendon in (1, 2, 3)]
         position = np.asarray(cddf.trace(body, path, estimate_error=False).tip_position)
         columns = dict(zip(("tip_x", "tip_y", "tip_z"), position.T, strict=True)) | {"step": np.arange(14)}
         name = f"simulated {number}"

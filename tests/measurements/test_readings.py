@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from bodies import paper_body
+from kinds import bench_of
 
 import cddf_jax as cddf
-from cddf_jax.identification.bench import experiment_of
 from cddf_jax.measurements.readings import NAMED, columns_of, kind_of
 from cddf_jax.quantities import QUANTITIES
 
@@ -46,7 +46,7 @@ def differences():
 
 @pytest.fixture(scope="module")
 def answer(table):
-    return experiment_of(table, robot()).evaluate(robot(), {name: np.asarray(x) for name, x in TRUTH.items()}, 16)
+    return bench_of(table, robot()).evaluate(robot(), {name: np.asarray(x) for name, x in TRUTH.items()}, 16)
 
 
 @pytest.mark.parametrize("column", READINGS)

@@ -147,7 +147,7 @@ def test_bad_files_are_refused(tmp_path, text, message):
 
 def test_from_columns():
     base = np.array([5.0, 10.0])
-    table = Measurements.from_columns(name="bench", base_tension=base, tip_tension=[4, 9], trial=[3, 3])
+    table = Measurements.from_columns("bench", base_tension=base, tip_tension=[4, 9], trial=[3, 3])
     assert (table.name, len(table), table.rows.tolist(), table.trial_labels) == ("bench", 2, [1, 2], ("3",))
     assert table["tip_tension"].dtype == np.float64
     base[0] = 7.0
@@ -171,7 +171,7 @@ def test_from_columns():
 )
 def test_from_columns_refuses(columns, message):
     with pytest.raises(InputError) as error:
-        Measurements.from_columns(name="bench", **columns)
+        Measurements.from_columns("bench", **columns)
     assert str(error.value).startswith(message)
 
 

@@ -1,5 +1,7 @@
 """How fast the error falls with the number of nodes, and whether the error estimate is large enough."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -99,7 +101,7 @@ def wiggling(s):
     return 0.016 + 0.003 * jnp.sin(900.0 * s)
 
 
-def body_with(outer_radius, kinematics="exact"):
+def body_with(outer_radius, kinematics: Any = "exact"):
     return cddf.Manipulator(0.14, outer_radius, 0.007, (cddf.Tendon(0.01),), 1.4e6, 0.42, kinematics=kinematics)
 
 

@@ -2,14 +2,15 @@
 
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from bodies import PAPER, lane, one_kinematics_at_once, paper_body, paper_plain, replaced
+from kinds import of_kind, root_of
 from scipy.integrate import quad, solve_ivp
-from scipy.optimize import brentq
 
 import cddf_jax as cddf
 from cddf_jax.errors import InputError
@@ -42,12 +43,12 @@ class Reference:
     of E J kappa = sum sigma d T q / sqrt(q^2 + d'^2) + M with T = max(y, 0) e^(-g psi): no kappa', no T' inside.
     """
 
-    def __init__(self, base_tension, direction=+1, sides=(+1,), offsets=(d, d), w=W, mu=MU, tip_force=(0.0, 0.0)):
+    def __init__(self, tension, direction=+1, sides=(+1,), offsets=(d, d), w: Any = W, mu=MU, tip_force=(0.0, 0.0)):
         self.side = np.asarray(sides, float)
-        self.base, self.w = (np.broadcast_to(np.asarray(x, float), self.side.shape) for x in (base_tension, w))
+        self.base, self.w = (np.broadcast_to(np.asarray(x, float), self.side.shape) for x in (tension, w))
         self.direction = np.broadcast_to(np.asarray(direction, float), self.side.shape)
         self.gain, self.offsets, self.force = self.direction * mu, offsets, np.asarray(tip_force)
-        moment = brentq(lambda m: self.run(m)[-1, -1], 0.0, 0.3, xtol=1e-13) if np.any(self.force) else 0.0
+        moment = root_of(lambda m: self.run(m)[-1, -1], 0.0, 0.3, xtol=1e-13) if np.any(self.force) else 0.0
         end = self.run(moment)[-1]
         assert np.all(np.diff(self.psi, axis=0) > -1e-9), "a tendon turns to the right"
         n = self.side.size
@@ -79,7 +80,7 @@ class Reference:
             pull = np.sum(self.side * offset * tension * q / np.hypot(q, slope))
             return E * second_moment(s) * kappa - pull - state[-1]
 
-        kappa = brentq(gap, -60.0, 60.0, xtol=1e-14, rtol=1e-14)
+        kappa = root_of(gap, -60.0, 60.0, xtol=1e-14, rtol=1e-14)
         return kappa, psi(kappa)
 
     def rate(self, s, state):
@@ -134,7 +135,7 @@ def test_drag_alone_lowers_the_tension_linearly(kinematics, base_tension, direct
 def test_friction_force_of_drag_alone_is_the_drag_up_to_where_the_tendon_is_slack():
     """F_CDDF = T' t_c, eq. (10): -w t for a tendon parallel to the axis, and nothing beyond s = T_base / w."""
     solution = cddf.solve(replace(EXACT, friction_coefficient=0.0), 10.0)
-    along = solution.at(np.array([0.0, 0.05, 0.0999, 0.1001, 0.14]))
+    along = of_kind(cddf.Fields, solution.at([0.0, 0.05, 0.0999, 0.1001, 0.14]))
     axis = np.stack([np.cos(along.heading), np.sin(along.heading)], axis=-1)
     w = np.array([W, W, W, 0.0, 0.0])
     np.testing.assert_allclose(along.friction_force[0], -w[:, None] * axis, atol=1e-12)
@@ -193,7 +194,7 @@ def test_the_published_kinematics_lose_the_same_tension():
 
 def pair(offsets=(d, d)):
     """Antagonists, each with a drag of its own."""
-    tendons = [cddf.Tendon(cddf.Linear(*offsets, LENGTH), side) for side in (+1, -1)]
+    tendons = [cddf.Tendon(cddf.Linear(*offsets, length=LENGTH), side) for side in (+1, -1)]
     tendons = (replace(tendons[0], drag=150.0), tendons[1])
     return replace(paper_body("exact", drag=60.0), tendons=tendons)
 

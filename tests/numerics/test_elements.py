@@ -83,7 +83,7 @@ def test_the_length_of_a_vector_that_passes_near_zero(distance):
     def vector(x):
         return np.stack([0.1 * distance * np.cos(x), np.sin(3 * (x - place)), (x - place) ** 2], axis=-1)
 
-    nodes, end = sums(ONE.width[0], gains_of_length(vector(ONE.nodes[0])))
+    nodes, end = sums(ONE.width[0], gains_of_length(jnp.asarray(vector(ONE.nodes[0]))))
     assert_allclose([*nodes, end], integrals(lambda x: np.linalg.norm(vector(x)), place), atol=2e-10)
 
 

@@ -120,16 +120,16 @@ def test_passes_of_slopes_that_do_not_settle_show_as_nan_where_the_lane_has_not_
 def test_a_small_system_is_solved_as_lapack_solves_it(size, shape):
     """One right side or several; the first pivot is 0, so that rows have to change places."""
     rng = np.random.default_rng(size)
-    matrix, sides = rng.normal(size=(size, size)), rng.normal(size=(size, *shape))
-    matrix[0, 0] = 0.0 if size > 1 else 2.0
+    matrix, sides = jnp.asarray(rng.normal(size=(size, size))), jnp.asarray(rng.normal(size=(size, *shape)))
+    matrix = matrix.at[0, 0].set(0.0 if size > 1 else 2.0)
     assert_allclose(solve_small(matrix, sides)[0], np.linalg.solve(matrix, sides), rtol=1e-11, atol=1e-13)
-    assert solve_small(np.ones((size, size)), sides)[1] == (1.0 if size == 1 else 0.0)  # a singular matrix
+    assert solve_small(jnp.ones((size, size)), sides)[1] == (1.0 if size == 1 else 0.0)  # a singular matrix
 
 
 def test_three_equations_are_solved_as_lapack_solves_them():
     rng = np.random.default_rng(3)
     for _ in range(5):
-        matrix, vector = rng.normal(size=(3, 3)), rng.normal(size=3)
+        matrix, vector = jnp.asarray(rng.normal(size=(3, 3))), jnp.asarray(rng.normal(size=3))
         assert_allclose(solve_three(matrix, vector), np.linalg.solve(matrix, vector), rtol=1e-10)
-        definite = matrix @ matrix.T + np.eye(3)
+        definite = matrix @ matrix.T + jnp.eye(3)
         assert_allclose(solve_definite(definite, vector), np.linalg.solve(definite, vector), rtol=1e-12)

@@ -18,7 +18,7 @@ from cddf_jax.identification.experiment_design import Candidate
 from cddf_jax.numerics.given_numbers import check_numbers
 
 UNITS = pint.UnitRegistry()
-PULL = 75 * UNITS.force_pound
+PULL = UNITS.Quantity(75, "force_pound")
 MASKED = np.ma.masked_array([10.0, 20.0], mask=[False, True])
 
 # each of them NumPy turns into float64 without an error

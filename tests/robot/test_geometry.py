@@ -66,7 +66,7 @@ def test_a_manipulator_needs_a_tendon_on_one_side_and_known_kinematics():
             cddf.Tendon(0.01, side=side)
     for tendons in ((), (0.01,)):
         with pytest.raises(ValueError, match="Manipulator: tendons must hold one Tendon or more"):
-            cddf.Manipulator(0.14, 0.02, 0.007, tendons, 1.4e6, 0.42)
+            cddf.Manipulator(0.14, 0.02, 0.007, tendons, 1.4e6, 0.42)  # pyright: ignore[reportArgumentType]
     for rest in (2.0, (0.0, 2.0)):
         with pytest.raises(ValueError, match=r"rest_curvature must have three components \(twist, y, z\), got"):
             cddf.Manipulator(0.14, 0.02, 0.007, (cddf.Tendon(0.01),), 1.4e6, 0.42, rest_curvature=rest)

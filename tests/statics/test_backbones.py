@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from bodies import both_modes, codes, paper_body
+from kinds import root_of
 from refusals import refused
 from scipy.integrate import quad, solve_ivp
-from scipy.optimize import brentq
 
 import cddf_jax as cddf
 
@@ -74,7 +74,7 @@ def reference(x: Numbers = Numbers()) -> np.ndarray:
             y = solve_ivp(inside, (a, b), y, rtol=1e-11, atol=1e-13).y[:, -1]
         return y
 
-    moment = brentq(lambda m: tip(m)[4], -0.5, 0.5, xtol=1e-14, rtol=1e-13)
+    moment = root_of(lambda m: tip(m)[4], -0.5, 0.5, xtol=1e-14, rtol=1e-13)
     theta, angle, u, v, _ = tip(moment)
     return np.array([PULL * np.exp(-MU * theta), angle, 10 * u, 10 * v, 100 * moment])
 
@@ -323,7 +323,7 @@ def test_a_factor_on_the_stiffness_is_fitted_where_there_is_no_modulus():
     assert fit.status == {"friction_coefficient": "identified", "stiffness_factor": "identified"}
     assert abs(fit.value["stiffness_factor"] - 2.0) < 3 * fit.standard_error["stiffness_factor"] < 0.1
     assert abs(fit.value["friction_coefficient"] - MU) < 3 * fit.standard_error["friction_coefficient"] < 0.1
-    assert float(fit.manipulator.stiffness_factor) == fit.value["stiffness_factor"]
+    assert fit.manipulator.stiffness_factor == fit.value["stiffness_factor"]
     message = refused(lambda: cddf.fit(body, fit.tables, ("youngs_modulus",)))
     assert message == "fit: the body has no single youngs_modulus; fit stiffness_factor, which multiplies its stiffness"
     message = refused(lambda: cddf.fit(body, fit.tables, ("outer_radius_error",)))

@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 from bodies import PAPER, PlainBody, constant, paper_body, paper_plain
+from kinds import root_of
 from loaded_bodies import (
     NotFoundError,
     PlainLoads,
@@ -12,7 +13,6 @@ from loaded_bodies import (
     largest_difference,
     loaded_reference,
 )
-from scipy.optimize import brentq
 from scipy.special import jv
 
 import cddf_jax as cddf
@@ -40,7 +40,7 @@ RIGIDITY = 1e6 * np.pi / 4 * 0.004**4  # E J, N m^2
 PLAIN_ROD = PlainBody(0.2, constant(0.004), constant(0.0), [constant(0.002)], 1e6, [0.3], "exact")
 EULER = buckling_force(RIGIDITY, 0.2)
 # Greenhill (1881): a column buckles under its weight at q L^3 = (9/4) j^2 E J, j the first zero of J_(-1/3): 7.837
-ZERO = np.asarray(brentq(lambda x: jv(-1 / 3, x), 1.0, 3.0))
+ZERO = np.asarray(root_of(lambda x: jv(-1 / 3, x), 1.0, 3.0))
 GREENHILL = 9 / 4 * ZERO**2 * RIGIDITY / (0.2**3 * 1000.0 * np.pi * 0.004**2)
 
 

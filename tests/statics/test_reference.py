@@ -1,6 +1,5 @@
 """Both kinematics against SciPy's integrators, which share no line with the library (see bodies.py)."""
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from bodies import (
@@ -12,6 +11,7 @@ from bodies import (
     paper_with,
     straight,
 )
+from kinds import of_kind
 from loaded_bodies import reference_solution
 from scipy.interpolate import CubicSpline
 
@@ -27,12 +27,12 @@ PAIR = (+1, -1)
 
 def pair(kinematics, first, second, end=None):
     """Antagonists by their offsets at base and tip; `end` of the first. One structure for slanted and parallel ones."""
-    one = cddf.Tendon(cddf.Linear(*first, LENGTH), end=end)
-    return paper_with(one, cddf.Tendon(cddf.Linear(*second, LENGTH), -1), kinematics=kinematics)
+    one = cddf.Tendon(cddf.Linear(*first, length=LENGTH), end=end)
+    return paper_with(one, cddf.Tendon(cddf.Linear(*second, length=LENGTH), -1), kinematics=kinematics)
 
 
 def pair_plain(kinematics, first, second, end=None):
-    offsets = [straight(*ends, LENGTH) for ends in (first, second)]
+    offsets = [straight(*ends, length=LENGTH) for ends in (first, second)]
     slopes = [constant((tip - base) / LENGTH) for base, tip in (first, second)]
     return paper_plain(kinematics, PAIR, offsets=offsets, slopes=slopes, ends=(LENGTH if end is None else end, LENGTH))
 
@@ -45,7 +45,7 @@ def compare_pair(kinematics, first, second, base_tension, direction, end=None):
 PARALLEL, SLANTED = (0.010, 0.010), (0.012, 0.009)
 
 
-def compare(body, plain, base_tension, direction=+1, nodes=16):
+def compare(body, plain, base_tension, direction: int | tuple[int, ...] = +1, nodes=16):
     solution = cddf.solve(body, base_tension, direction=direction, nodes=nodes)
     reference = reference_solution(plain, base_tension, direction)
     np.testing.assert_allclose(solution.tip_tension, reference.tip_tension, rtol=TENSION)
@@ -54,7 +54,7 @@ def compare(body, plain, base_tension, direction=+1, nodes=16):
     np.testing.assert_allclose(solution.wrap_angle[:, -1], reference.wrap_angle, atol=POSITION)
     np.testing.assert_allclose(solution.tendon_displacement, reference.displacement, atol=POSITION * LENGTH)
     at = np.linspace(0, reference.arc_length.size - 1, 12).astype(int)  # one shape for every case
-    along = solution.at(reference.arc_length[at])
+    along = of_kind(cddf.Fields, solution.at(reference.arc_length[at]))
     np.testing.assert_allclose(along.heading, reference.heading[at], atol=ALONG)
     np.testing.assert_allclose(along.position, reference.position[at], atol=ALONG * LENGTH)
 
@@ -137,7 +137,7 @@ def test_a_tendon_that_ends_before_the_tip():
 
 def test_nothing_bends_beyond_the_last_anchor():
     solution = cddf.solve(paper_with(cddf.Tendon(0.010, end=0.08)), 40.0)
-    beyond = solution.at(np.array([0.0800001, 0.1, 0.14]))
+    beyond = of_kind(cddf.Fields, solution.at([0.0800001, 0.1, 0.14]))
     np.testing.assert_array_equal(beyond.curvature, 0.0)
     np.testing.assert_array_equal(beyond.tension, 0.0)
     np.testing.assert_allclose(beyond.heading, solution.tip_angle, atol=1e-12)
@@ -166,7 +166,7 @@ def test_the_jump_at_a_kink_is_the_capstan_of_its_angle():
     heights = (0.008, 0.012, 0.010, 0.010)
     solution = cddf.solve(bent("exact", heights), 30.0)
     gap = 1e-9
-    before, after = (solution.at(jnp.asarray(0.05 + side * gap)) for side in (-1, +1))
+    before, after = (of_kind(cddf.Fields, solution.at(0.05 + side * gap)) for side in (-1, +1))
     # psi = phi + atan2(d', 1 - d kappa), docs/theory.md; d' = 0.08 before, -0.04 after
     psi = [
         float(at.heading + np.arctan2(slope, 1 - 0.012 * at.curvature))

@@ -148,6 +148,6 @@ def test_discs_and_segments_under_loads():
     np.testing.assert_allclose(found.base_moment, shot.x, atol=1e-10)
     np.testing.assert_allclose(found.tip_tension, tension, rtol=1e-8)
     np.testing.assert_allclose(found.tip_position, place, atol=1e-10)
-    np.testing.assert_allclose(found.tip_frame, frame, atol=1e-9)
+    np.testing.assert_allclose(np.asarray(found.tip_frame), frame, atol=1e-9)
     along = found.at(np.array([HALF - 1e-6, HALF + 1e-6]))
     np.testing.assert_allclose(along.tension[2], [tension[2], 0.0], rtol=1e-5)  # beyond its end there is none

@@ -1,12 +1,14 @@
 """Bodies in space: the numbers on which two independent codes and a published one agree, and properties."""
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from bodies import both_modes, paper_body, paper_with
+from kinds import of_kind
 from scipy.integrate import solve_ivp
 
 import cddf_jax as cddf
@@ -15,7 +17,7 @@ LENGTH = 0.14
 DIRECTION = (1, -1, -1)  # of three tendons, the first of which is pulled most
 
 
-def at_angle(angle, offset=0.010):
+def at_angle(angle, offset: Any = 0.010):
     return cddf.Tendon(offset, angle=angle)
 
 
@@ -39,7 +41,8 @@ def test_numbers_of_two_independent_codes(name):
     sharp = name == "half a turn"  # the turning of its tendon has a sharp minimum, where 1e-7 of the length is promised
     np.testing.assert_allclose(1e3 * found.tip_position, tip_mm, atol=1.4e-5 if sharp else 2e-7)
     assert found.error_estimate < (1e-6 if sharp else 1e-8)
-    np.testing.assert_allclose(found.tip_frame.T @ found.tip_frame, np.eye(3), atol=1e-12)
+    frame = np.asarray(found.tip_frame)
+    np.testing.assert_allclose(frame.T @ frame, np.eye(3), atol=1e-12)
 
 
 @pytest.mark.slow
@@ -58,7 +61,7 @@ def test_a_rigid_helix_has_a_closed_form():
     np.testing.assert_allclose(found.tip_tension, [expected], rtol=1e-9)
 
 
-ROD = {  # of a published code for rods with tendons without friction, Till, Aloi and Rucker (2019)
+ROD: dict[str, Any] = {  # of a published code for rods with tendons without friction, Till, Aloi and Rucker (2019)
     "length": 0.5,
     "outer_radius": 1e-3,
     "inner_radius": 0.0,
@@ -116,8 +119,9 @@ def test_forces_on_the_body_balance_the_reactions_at_the_base():
     body = paper_with(helix(0.25), at_angle(2.0))
     found = cddf.solve(body, (40.0, 25.0), cddf.Loads(tip_force=force), direction=1)
     x, weights = np.polynomial.legendre.leggauss(40)
-    along, weights = found.at((x + 1) / 2 * LENGTH), LENGTH / 2 * weights
-    forces, ends = along.normal_force + along.friction_force, found.at(np.array([0.0, LENGTH]))
+    places, weights = ((x + 1) / 2 * LENGTH, [0.0, LENGTH]), LENGTH / 2 * weights
+    along, ends = (of_kind(cddf.SpatialFields, found.at(s)) for s in places)
+    forces = along.normal_force + along.friction_force
 
     def pull(end):  # T t, (tendons, 3), in the fixed frame
         rate = 2 * np.pi * turns / LENGTH
@@ -187,7 +191,8 @@ def test_a_body_bent_by_about_a_turn_bears_a_small_load():
     plane, found = (cddf.solve(body, 900.0, loads, space=in_space) for in_space in (False, True))
     assert found.stable
     np.testing.assert_allclose(found.tip_position, [*plane.tip_position, 0.0], atol=1e-7 * LENGTH)
-    np.testing.assert_allclose(found.tip_frame[0, :2], [np.cos(plane.tip_angle), -np.sin(plane.tip_angle)], atol=1e-6)
+    axis = np.cos(plane.tip_angle), -np.sin(plane.tip_angle)
+    np.testing.assert_allclose(np.asarray(found.tip_frame)[0, :2], axis, atol=1e-6)
     np.testing.assert_allclose(found.tip_tension, plane.tip_tension, rtol=1e-7)
 
 
@@ -216,14 +221,9 @@ def test_the_tip_angle_at_zero_has_a_derivative():
 def test_stiffnesses_by_hand():
     """A solid rod: G = E / (2 (1 + nu)), J = pi r^4 / 4, A = pi r^2, and the factors on them."""
     E, nu, r = 2e6, 0.3, 0.01
-    numbers = {
-        "outer_radius": r,
-        "inner_radius": 0.0,
-        "youngs_modulus": E,
-        "poissons_ratio": nu,
-        "stiffness_factor": 1.5,
-    }
-    body = paper_with(at_angle(0.0, 0.005), extensible=True, axial_factor=0.7, shear_factor=0.8, **numbers)
+    numbers: dict[str, Any] = {"outer_radius": r, "inner_radius": 0.0, "youngs_modulus": E, "poissons_ratio": nu}
+    numbers |= {"stiffness_factor": 1.5, "axial_factor": 0.7, "shear_factor": 0.8}
+    body = paper_with(at_angle(0.0, 0.005), extensible=True, **numbers)
     J, A, G = np.pi * r**4 / 4, np.pi * r**2, E / (2 * (1 + nu))
     expected = 1.5 * np.array([2 * G * J, E * J, E * J, 0.7 * E * A, 0.8 * G * A, 0.8 * G * A])
     np.testing.assert_allclose(body.strain_stiffness(0.05), expected, rtol=1e-14)
@@ -239,7 +239,7 @@ def test_an_axis_that_stretches_is_shortened_by_its_tendons():
     # no bend: the force -40 N along the axis shortens it by the integral of 40 / (E A)
     area = np.pi * (np.linspace(0.020, 0.013, 20001) ** 2 - 0.007**2)
     shorter = np.trapezoid(40.0 / (1.4e6 * area), dx=LENGTH / 20000)
-    np.testing.assert_allclose(found.tip_position, (LENGTH - shorter, 0.0, 0.0), atol=1e-10)
+    np.testing.assert_allclose(found.tip_position, np.array([LENGTH - shorter, 0.0, 0.0]), atol=1e-10)
 
 
 def test_what_is_not_possible_in_space_is_refused():

@@ -13,10 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from bodies import PAPER, codes, lane, paper_body, paper_plain, replaced, stack
+from kinds import root_of
 from loaded_bodies import PlainLoads, largest_difference, loaded_reference
 from refusals import refused
 from scipy.integrate import quad
-from scipy.optimize import brentq
 
 import cddf_jax as cddf
 from cddf_jax import Status
@@ -42,7 +42,7 @@ def crossing_tension():
     s = np.linspace(0, PLAIN.length, 2001)
     flow = np.array([PLAIN.compliance(x) for x in s])
     J = np.array([PLAIN.second_moment(x) for x in s])
-    return brentq(lambda T: np.max(T / (1 + MU / E * T * flow) * d**2 / (E * J)) - 1, 100.0, 1e5)
+    return root_of(lambda T: np.max(T / (1 + MU / E * T * flow) * d**2 / (E * J)) - 1, 100.0, 1e5)
 
 
 # --- one tendon ----------------------------------------------------------------------------------

@@ -1,5 +1,7 @@
 """vmap, scan and shard_map change nothing, and a lane that fails harms no other."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -119,7 +121,7 @@ def test_a_derivative_through_scan_is_the_sum_of_derivatives():
 LANES, EVERYWHERE = PartitionSpec("lanes"), PartitionSpec()
 
 
-def on_four_devices(function, in_specs=LANES, out_specs=LANES):
+def on_four_devices(function, in_specs: Any = LANES, out_specs=LANES):
     mesh = jax.make_mesh((4,), ("lanes",), axis_types=(AxisType.Auto,))
     return jax.jit(jax.shard_map(function, mesh=mesh, in_specs=in_specs, out_specs=out_specs))
 

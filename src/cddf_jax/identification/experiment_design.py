@@ -263,7 +263,7 @@ def _experiment(
         raise InputError(f"{name}: {', '.join(lengths)} must hold 1 or {count} numbers; give lists of one length")
     columns = {column: np.broadcast_to(values, (count,)) for column, values in conditions.items()}
     columns |= {column: np.zeros(count) for column in candidate.noise}
-    table = Measurements.from_columns(name, notes=(), **columns)
+    table = Measurements.from_columns(name, **columns)
     course, paths = None, paths_of(table, None)
     if paths:
         how = how_followed(body, (*parameters, *setting.given), setting.loads)
