@@ -119,7 +119,7 @@ class Measurements:
 
     @classmethod
     def from_columns(
-        cls, name: str = "measurements", *, notes: Sequence[str] = (), **columns: ArrayLike
+        cls, name: str = "measurements", notes: Sequence[str] = (), /, **columns: ArrayLike
     ) -> "Measurements":
         """A table from one sequence per column, in SI units.
 
