@@ -69,6 +69,7 @@ def test_a_body_of_two_pieces_and_a_tendon_that_stretches():
     assert history.stored_energy[0] > stretch
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.0, 0.42])
 def test_a_tendon_that_ends_before_the_tip(friction):
     """Without friction a loop gives all its work back; with friction it loses what it does not store."""

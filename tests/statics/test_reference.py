@@ -145,7 +145,7 @@ def test_nothing_bends_beyond_the_last_anchor():
     np.testing.assert_allclose(solution.tip_tension, [paper_plain().closed_form(40.0, 0.08)], rtol=TENSION)
 
 
-@pytest.mark.parametrize("kinematics", ["published", "exact"])
+@one_kinematics_at_once
 def test_a_step_of_the_section(kinematics):
     step = cddf.Piecewise([0.05, 0.09], [cddf.Constant(0.020), cddf.Constant(0.014), cddf.Constant(0.017)])
     plain = paper_plain(
