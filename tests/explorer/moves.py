@@ -6,18 +6,18 @@ FIRST, SECOND, FORCE, MODULUS = "base_tension_1", "base_tension_2", "tip_force.1
 FORGET = "the button"
 
 
-def turns_of(explored, *moves):
+def moves_of(explored, *moves):
     """After the first picture, and moves that are numbers by name or the button that forgets."""
-    turns, settings = (), explored.start
+    found, settings = (), explored.start
     for move in ({}, *moves):
         numbers = {} if move == FORGET else move
         settings = settings._replace(numbers={**settings.numbers, **numbers})
-        turns = after_move(() if move == FORGET else turns, explored, settings)
-    return turns
+        found = after_move(() if move == FORGET else found, explored, settings)
+    return found
 
 
-def loop_after(explored, *moves):
-    """The loop, with the manipulator as it is set then."""
+def loop_after(explored, *moves, tendon=0):
+    """The path of a tendon, with the manipulator as it is set then."""
     numbers = {name: number for move in moves for name, number in move.items()}
     body = explored.case(explored.start._replace(numbers={**explored.start.numbers, **numbers})).manipulator
-    return body, loop_of(body, turns_of(explored, *moves), explored.arc_length)
+    return body, loop_of(body, moves_of(explored, *moves), tendon, explored.arc_length)

@@ -1,4 +1,4 @@
-"""The past of the sliders: how the tension of one tendon without loads has moved, and the loop that `trace` finds."""
+"""The past of the sliders: how tensions and loads have moved since rest, and the path that `trace` finds."""
 
 from itertools import pairwise
 from typing import NamedTuple
@@ -8,90 +8,97 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from ..history.trace import trace
+from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..statics.status import Status
-from .controls import tensions_and_loads
+from .controls import in_si, load_components, tensions_and_loads
 from .model import Exploration, Settings
 
-NUM_LEGS = 12  # turns that are remembered at once
-NUM_POINTS = 12  # of the path from each of these turns to the next
-SEVERAL = "The past is remembered for one tendon. For several, follow a path with cddf trace."
-LOADED = "The past is remembered without loads only. It begins when all loads are zero; cddf trace follows loads."
+NUM_MOVES = 20  # that are remembered
+NUM_POINTS = 8  # of the path along each of them
+FINEST = {"nodes": 8, "short_steps": 2}  # of each point, where the answer is not exact: a page must not wait
+PARALLEL = 1e-9  # 1 less the cosine between two moves that count as one
 
-Turns = tuple[float, ...]  # tensions, N, at which the tension turned since rest, the present one last
+Moves = tuple[tuple[float, ...], ...]  # base tensions and components of the loads, SI, after each move since rest
 
 
 class Loop(NamedTuple):
-    """The path since the end of the pull from rest, step first, and the state at its end; NumPy, SI."""
+    """The path since the first move, step first, and the state at its end; NumPy, SI."""
 
-    base_tension: np.ndarray
+    base_tension: np.ndarray  # of the tendon that moved last, as the next four
     tip_tension: np.ndarray
-    tip_angle: np.ndarray
     tendon_displacement: np.ndarray
-    front: np.ndarray  # up to where, from the base, the tendon slid last
+    front: np.ndarray  # up to where, from the base, it slid last
+    tip_angle: np.ndarray
+    error_estimate: np.ndarray  # as in `History`
     status: np.ndarray
     position: np.ndarray  # (points, components) of the axis
 
     @property
     def shown(self) -> bool:
         """Whether there are numbers to show."""
-        return int(self.status) in (Status.successful, Status.inaccurate)
+        return int(self.status) in (Status.successful, Status.inaccurate, Status.slack)
 
 
-def after_move(turns: Turns, explored: Exploration, settings: Settings) -> Turns:
-    """The turns after the sliders were moved; none where the past is not known."""
+def after_move(moves: Moves, explored: Exploration, settings: Settings) -> Moves:
+    """The moves after the sliders were moved; one that goes on in the direction of the last is one with it."""
     tensions, loads = tensions_and_loads(explored.controls)
-    if len(tensions) > 1 or any(settings.numbers[control.name] for control in loads):
-        return ()
-    return gone_on(turns, settings.numbers[tensions[0].name])
+    here = tuple(in_si(settings.numbers[control.name], control.quantity) for control in (*tensions, *loads))
+    if not moves:
+        return (here,)
+    last, new = (np.subtract(b, a) for a, b in pairwise([_first(moves, len(tensions)), *moves, here][-3:]))
+    if not np.any(new):
+        return moves
+    onwards = last @ new >= (1 - PARALLEL) * np.linalg.norm(last) * np.linalg.norm(new)
+    return (*moves[: -1 if onwards else None], here)
 
 
-def why_no_loop(manipulator: Manipulator, turns: Turns) -> str:
-    """The reason in one line; empty if there is a loop."""
-    if manipulator.num_tendons > 1:
-        return SEVERAL
-    if not turns:
-        return LOADED
-    if len(turns) > NUM_LEGS:
-        return f"More than {NUM_LEGS} turns are remembered at once; forget the past to go on."
-    return "" if len(turns) > 1 else "Drag the base tension back, and the loop appears here."
+def _first(moves: Moves, num_tendons: int) -> tuple[float, ...]:
+    """Where the first move began: no tension, under the loads of the file."""
+    return (0.0,) * num_tendons + moves[0][num_tendons:]
 
 
-def gone_on(turns: Turns, tension: float) -> Turns:
-    """The turns after the tension has moved to another one; forgotten turns may be left out."""
-    if turns and tension == turns[-1]:
-        return turns
-    before = turns[-2] if len(turns) > 1 else 0.0
-    if turns and (turns[-1] - before) * (tension - turns[-1]) >= 0:  # in the same direction as before
-        turns = turns[:-1]
-    turns = (*turns, tension)
-    return turns if len(turns) <= NUM_LEGS else remembered(turns)
+def why_no_loop(moves: Moves) -> str:
+    """The reason in one line; empty if there is a path to show."""
+    if len(moves) > NUM_MOVES:
+        return f"More than {NUM_MOVES} moves are remembered at once; forget the past to go on."
+    return "" if len(moves) > 1 else "Drag the base tension back, or another tension or load: a path appears here."
 
 
-def remembered(turns: Turns) -> Turns:
-    """The turns without closed loops: a tension that passes an earlier turn deletes it and the one after it."""
-    found: list[float] = []
-    for tension in turns:
-        while len(found) > 1 and (tension - found[-2]) * (found[-2] - found[-1]) >= 0:
-            del found[-2:]
-        found.append(tension)
-    return tuple(found)
+def loop_of(body: Manipulator, moves: Moves, tendon: int, arc_length: np.ndarray) -> Loop:
+    """The path of one tendon, counted from 0, for which `why_no_loop` gives no reason."""
+    start = _first(moves, body.num_tendons)
+    ends = np.array([start] * (NUM_MOVES + 1 - len(moves)) + list(moves))
+    path = np.concatenate([ends[:1], *(np.linspace(*leg, NUM_POINTS + 1)[1:] for leg in pairwise(ends))])
+    tension, acting = np.split(path, [body.num_tendons], axis=1)
+    loads = _loads(body, acting) if np.any(acting) else None
+    *of_tendons, angle, error, status, position = map(np.asarray, _along(body, tension, loads, arc_length))
+    pull, tip, pulled_in, front = (x.reshape(len(path), -1)[:, tendon] for x in (tension, *of_tendons))
+    since = slice(-NUM_POINTS * (len(moves) - 1) - 1, None)
+    return Loop(pull[since], tip[since], pulled_in[since], front[-1], angle[since], error, status, position)
 
 
-def loop_of(body: Manipulator, turns: Turns, arc_length: np.ndarray) -> Loop:
-    """The loop at the end of a path, for which `why_no_loop` gives no reason."""
-    ends = np.array([0.0] * (NUM_LEGS + 1 - len(turns)) + list(turns))
-    path = np.concatenate([np.linspace(*leg, NUM_POINTS + 1)[1:] for leg in pairwise(ends)])
-    tip, angle, pulled_in, *state = map(np.asarray, _along(body, path, arc_length))
-    since = -NUM_POINTS * (len(turns) - 1) - 1  # without the pull from rest
-    return Loop(path[since:], tip[since:], angle[since:], pulled_in[since:], *state)
+def _loads(body: Manipulator, acting: np.ndarray) -> Loads:
+    """The loads along a path from their components as the controls have them; a body without mass has no gravity."""
+    count, given = load_components(body), {}
+    for kind, components in count.items():
+        if kind == "gravity" and not body.has_mass:
+            continue
+        own, acting = np.split(acting, [len(components)], axis=1)
+        given[kind] = own if "." in next(iter(components)) else own[:, 0]
+    return Loads(**given)
 
 
 @eqx.filter_jit
 def _along(
-    body: Manipulator, path: Float[ArrayLike, " steps"], arc_length: Float[ArrayLike, " points"]
+    body: Manipulator,
+    path: Float[ArrayLike, "steps tendons"],
+    loads: Loads | None,
+    arc_length: Float[ArrayLike, " points"],
 ) -> tuple[Array, ...]:
-    """Tip tension, tip angle and displacement along a path; front, status and axis at its end."""
-    history = trace(body, path, max_turns=NUM_LEGS + 1, throw=False)
-    end = history.front[-1], history.status[-1], history.at(arc_length).position[-1]
-    return history.tip_tension, history.tip_angle, history.tendon_displacement, *end
+    """Tip tension, displacement, front and tip angle along a path; error estimate, status and axis at its end."""
+    how = {} if loads is None and body.num_tendons == 1 else FINEST
+    history = trace(body, path, loads, max_turns=NUM_MOVES + 1, throw=False, **how)
+    position = history.at(arc_length).position[-1]
+    ends = history.error_estimate[-1], history.status[-1], position
+    return history.tip_tension, history.tendon_displacement, history.front, history.tip_angle, *ends

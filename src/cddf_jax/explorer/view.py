@@ -20,7 +20,7 @@ from ..robot.manipulator import KINEMATICS
 from .controls import from_si, rounded, tensions_and_loads
 from .model import Exploration, Picture, Settings
 from .parts import column, grid, plot, slider, title, words
-from .past import Loop, Turns, after_move, loop_of, why_no_loop
+from .past import Loop, Moves, after_move, loop_of, why_no_loop
 from .plots import AlongPlots, BodyPlot, TableColumns, TensionPlots
 from .space import SpacePlot
 from .words import lines_html, loop_html, numbers_html, paragraph
@@ -64,7 +64,7 @@ class ExplorerView:
         self.settings: Settings = exploration.start
         self.picture: Picture | None = None
         self.fitted: Fit | None = None
-        self.turns: Turns = ()  # of the tension, as far as they are remembered
+        self.moves: Moves = ()  # of tensions and loads, as far as they are remembered
         self.tendon = 0  # whose tension moved last
         body, s = exploration.manipulator, exploration.arc_length
         self.several = body.num_tendons > 1
@@ -78,7 +78,7 @@ class ExplorerView:
             "body": [plot(self.body.figure), grid(*map(plot, self.body.angles), least=200)],
             "numbers": [self.numbers],
             "along": [grid(*map(plot, (*self.body.views, *self.along.figures.values())), least=230)],
-            "past": [self.past_text, *([] if self.several else [self.forget_button])],
+            "past": [self.past_text, self.forget_button],
         }
         self.drawn = {name: column(*part) for name, part in parts.items()}
         self.drawn["tension"] = column(grid(*map(plot, self.tension.figures.values()), least=330), self.drawn["past"])
@@ -159,7 +159,7 @@ class ExplorerView:
 
     def forget(self) -> None:
         """Begin the past again with a pull from rest to what is set."""
-        self.turns = ()
+        self.moves = ()
         self.change()
 
     def change(self) -> None:
@@ -171,8 +171,8 @@ class ExplorerView:
         self.tendon = moved[0] if moved else self.tendon
         self.settings = Settings(numbers, directions, self.kinematics.value)
         self._mark("computing", True, self.drawn)
-        self.turns = after_move(self.turns, self.exploration, self.settings)
-        self.threads.pictures.submit(self._guarded, self._draw, self.settings, self.turns, self.tendon)
+        self.moves = after_move(self.moves, self.exploration, self.settings)
+        self.threads.pictures.submit(self._guarded, self._draw, self.settings, self.moves, self.tendon)
 
     def _guarded(self, function: Callable[..., None], settings: Settings, *arguments: object) -> None:
         """Call a function on a thread, unless there are newer settings; show errors on the page."""
@@ -188,12 +188,12 @@ class ExplorerView:
             logging.getLogger(__name__).exception("explorer")
             self._on_page(self._refuse, f"{type(error).__name__}: {error}")
 
-    def _draw(self, settings: Settings, turns: Turns, tendon: int) -> None:
+    def _draw(self, settings: Settings, moves: Moves, tendon: int) -> None:
         """Make the picture, and then start on another thread what takes longer."""
         picture = self.exploration.picture(self.exploration.case(settings))
         self._on_page(self._show, settings, picture, tendon)
         if picture.good:
-            self.threads.pasts.submit(self._guarded, self._remember, settings, picture, turns)
+            self.threads.pasts.submit(self._guarded, self._remember, settings, picture, moves, tendon)
             self.threads.comparisons.submit(self._guarded, self._compare, settings, picture, tendon)
 
     def _compare(self, settings: Settings, picture: Picture, tendon: int) -> None:
@@ -208,12 +208,12 @@ class ExplorerView:
         self.tension.show_points(kind, tables)
         self.body.show_points(kind, tables)
 
-    def _remember(self, settings: Settings, picture: Picture, turns: Turns) -> None:
-        """Show the loop of the tension, or why there is none."""
+    def _remember(self, settings: Settings, picture: Picture, moves: Moves, tendon: int) -> None:
+        """Show the path of the tendon that moved last, or why there is none."""
         body, loop = picture.case.manipulator, None
-        if not (text := why_no_loop(body, turns)):
-            loop = loop_of(body, turns, self.exploration.arc_length)
-        self._on_page(self._show_loop, settings, loop, loop_html(loop) if loop else paragraph(text))
+        if not (text := why_no_loop(moves)):
+            loop = loop_of(body, moves, tendon, self.exploration.arc_length)
+        self._on_page(self._show_loop, settings, loop, loop_html(loop, tendon) if loop else paragraph(text))
 
     def _show_loop(self, settings: Settings, loop: Loop | None, text: str) -> None:
         shown = loop if loop is not None and loop.shown else None

@@ -5,10 +5,12 @@ from html import escape
 
 import numpy as np
 
-from ..statics.status import in_words, words_of
+from ..statics.status import Status, in_words, words_of
 from .model import Picture
 from .past import Loop
 from .plots import tendon_look
+
+INACCURATE = "The path is rough: see its error estimate. Tensions of tendons that hold each other are open."
 
 
 def _number(name: str, number: str, unit: str) -> str:
@@ -56,15 +58,16 @@ def paragraph(text: str) -> str:
     return f"<p>{escape(text)}</p>"
 
 
-def loop_html(loop: Loop) -> str:
-    """The present state with its past."""
-    words = words_of(loop.status)
+def loop_html(loop: Loop, tendon: int = 0) -> str:
+    """The present state with its past, of the tendon that moved last, counted from 0."""
+    words = words_of(loop.status) if loop.status != Status.inaccurate else INACCURATE
     if not loop.shown:
         return paragraph(f"There is no answer with this past: {words}")
-    tip = _number("past_tip_tension_1", f"{loop.tip_tension[-1]:.4f}", "N")
+    tip = _number(f"past_tip_tension_{tendon + 1}", f"{loop.tip_tension[-1]:.4f}", "N")
     angle = _number("past_tip_angle", f"{np.degrees(loop.tip_angle[-1]):.3f}", "deg")
     front = _number("front", f"{1e3 * loop.front:.2f}", "mm")
     text = f"With its past (purple): {tip} at the tip, {angle}. The tendon slid last up to {front} from the base. "
+    text += f"Error estimate {_number('past_error', f'{loop.error_estimate:.1e}', '')}. "
     return f"{paragraph(words) if words else ''}<p>{text}All other numbers are those of a pull from rest.</p>"
 
 
