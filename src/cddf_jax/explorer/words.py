@@ -67,7 +67,7 @@ def loop_html(loop: Loop, tendon: int = 0) -> str:
     angle = _number("past_tip_angle", f"{np.degrees(loop.tip_angle[-1]):.3f}", "deg")
     front = _number("front", f"{1e3 * loop.front:.2f}", "mm")
     text = f"With its past (purple): {tip} at the tip, {angle}. The tendon slid last up to {front} from the base. "
-    text += f"Error estimate {_number('past_error', f'{loop.error_estimate:.1e}', '')}. "
+    text += f"{_number('past_error', f'{loop.error_estimate:.1e}', 'is the error estimate')}. "
     return f"{paragraph(words) if words else ''}<p>{text}All other numbers are those of a pull from rest.</p>"
 
 
