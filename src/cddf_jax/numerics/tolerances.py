@@ -62,5 +62,6 @@ PATIENCE = 20  # rounds, after which steps are damped
 ATTEMPTS = (
     (ELASTIC, ELASTIC, 1.0, 0.0, 20.0),
     (1e-3, ELASTIC, 0.03, 1.0, 60.0),
-    (1.0, 1e-5, 0.5, 1e-4, 320.0),  # where tendons stick together: to a softer law, which the error estimate tells
+    (1.0, 1e-5, 0.5, 1e-4, 320.0),  # where tendons stick together: to softer laws, which the error estimate tells
+    (1.0, 1e-4, 0.5, 1e-4, 320.0),
 )
