@@ -16,7 +16,7 @@ from .model import Exploration, Settings
 
 NUM_MOVES = 20  # that are remembered
 NUM_POINTS = 8  # of the path along each of them
-FINEST = {"nodes": 8, "short_steps": 2}  # of each point, where the answer is not exact: a page must not wait
+NODES, SHORT_STEPS = 8, 2  # in each step to a point, where the answer is not exact: a page must not wait
 PARALLEL = 1e-9  # 1 less the cosine between two moves that count as one
 
 Moves = tuple[tuple[float, ...], ...]  # base tensions and components of the loads, SI, after each move since rest
@@ -80,8 +80,8 @@ def loop_of(body: Manipulator, moves: Moves, tendon: int, arc_length: np.ndarray
 
 def _loads(body: Manipulator, acting: np.ndarray) -> Loads:
     """The loads along a path from their components as the controls have them; a body without mass has no gravity."""
-    count, given = load_components(body), {}
-    for kind, components in count.items():
+    given = {}
+    for kind, components in load_components(body).items():
         if kind == "gravity" and not body.has_mass:
             continue
         own, acting = np.split(acting, [len(components)], axis=1)
@@ -97,8 +97,8 @@ def _along(
     arc_length: Float[ArrayLike, " points"],
 ) -> tuple[Array, ...]:
     """Tip tension, displacement, front and tip angle along a path; error estimate, status and axis at its end."""
-    how = {} if loads is None and body.num_tendons == 1 else FINEST
-    history = trace(body, path, loads, max_turns=NUM_MOVES + 1, throw=False, **how)
+    nodes = 16 if loads is None and body.num_tendons == 1 else NODES
+    history = trace(body, path, loads, nodes=nodes, max_turns=NUM_MOVES + 1, short_steps=SHORT_STEPS, throw=False)
     position = history.at(arc_length).position[-1]
     ends = history.error_estimate[-1], history.status[-1], position
     return history.tip_tension, history.tendon_displacement, history.front, history.tip_angle, *ends

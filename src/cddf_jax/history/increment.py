@@ -14,6 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
 from ..numerics import tolerances as tol
@@ -258,19 +259,15 @@ def tendons_of(driven: tuple[Goal, ...]) -> Int[Array, " driven"]:
 
 def _flat(node: Node) -> tuple[Array, Array]:
     """What the march from the base knows, and what it seeks."""
-
-    def flat(*parts: Array | None) -> Array:
-        return jnp.concatenate([jnp.ravel(part) for part in parts if part is not None])
-
-    return flat(node.tension, node.heading), flat(node.slip, node.moment)
+    return ravel_pytree((node.tension, node.heading))[0], ravel_pytree((node.slip, node.moment))[0]
 
 
 def _node(like: Node, known: Array, sought: Array) -> Node:
     """The inverse of `_flat`; `like` has the shapes of all nodes."""
-    count = like.tension.shape[-1]
-    heading = None if like.heading is None else known[count:].reshape(like.heading.shape[1:])
-    moment = None if like.moment is None else sought[count:].reshape(like.moment.shape[1:])
-    return Node(known[:count], heading, sought[:count], moment)
+    one = jax.tree.map(lambda x: x[0], like)
+    tension, heading = ravel_pytree((one.tension, one.heading))[1](known)
+    slip, moment = ravel_pytree((one.slip, one.moment))[1](sought)
+    return Node(tension, heading, slip, moment)
 
 
 def _correction(setting: Setting, nodes: Node, law: _Law, missed: Rows) -> Node:

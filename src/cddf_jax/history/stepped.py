@@ -5,6 +5,7 @@ closed form. So each step of the path, which is straight, is divided into increm
 followed. Two more passes, with half as many elements and with half as many increments, estimate the error.
 """
 
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -294,19 +295,18 @@ def squeezed(history: History) -> History:
 
 
 def after_first(history: History) -> History:
-    """The history without its first step. Where the first step failed, all steps count as failed."""
-
-    def apart(history: History) -> tuple[States, Array]:
-        return history._states, history.status
-
-    good, states = jnp.isfinite(history.tip_angle[0]), history._states
+    """The history without its first step."""
+    states, numbers = history._states, eqx.tree_at(lambda history: history._states, history, None)
     assert isinstance(states, SteppedStates)
     passes = jax.tree.map(lambda x: x[:, 1:], states.passes)
-    status = jnp.where(good, history.status[1:], history.status[:1])
-    numbers = eqx.tree_at(apart, history, (None, None))
-    numbers = nan_unless(good, jax.tree.map(lambda x: x[1:], numbers))
-    own = eqx.tree_at(lambda s: s.passes, states, passes), status
-    return eqx.tree_at(apart, numbers, own, is_leaf=lambda x: x is None)
+    later = replace(jax.tree.map(lambda x: x[1:], numbers), _states=replace(states, passes=passes))
+    return after_step(history.tip_angle[0], history.status[0], later)
+
+
+def after_step(tip_angle: Number, status: Int[Array, ""], later: History) -> History:
+    """The history after a step; where that step failed, all later ones failed as it did."""
+    good = jnp.isfinite(tip_angle)
+    return replace(nan_unless(good, later), status=jnp.where(good, later.status, status), _states=later._states)
 
 
 def _usable(path: Path) -> Bool[Array, " steps"]:

@@ -1,7 +1,6 @@
 """`trace`: pull and release, and `tip_compliance` of what it returns."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Literal
 
@@ -27,7 +26,7 @@ from .grid import Goal
 from .history import GOOD, History
 from .path import Driven, Path, as_numbers, given_path
 from .play_operator import Before, CongruentStates, congruent_history
-from .stepped import ACCURACY, ELEMENTS, Following, SteppedStates, after_first, squeezed, stepped_history
+from .stepped import ACCURACY, ELEMENTS, Following, SteppedStates, after_first, after_step, squeezed, stepped_history
 
 LEAST_MOVE = 1e-6  # of the tip by a push, over the length and in rad; steps settle to some 1e-8 of them
 
@@ -193,15 +192,8 @@ def _in_increments(
         raise ValueError("trace: start is a history of one tendon without loads; trace it with loads from rest on")
     history = stepped_history(manipulator, path, states, kind)
     history = history if earlier is None else after_first(history)
-    history = history if start is None else _after(start, history)
+    history = history if start is None else after_step(start.tip_angle[-1], start.status[-1], history)
     return squeezed(history) if manipulator.num_tendons == 1 else history
-
-
-def _after(start: History, history: History) -> History:
-    """The history that continues another one; where the last step of that one failed, all steps failed as it did."""
-    good = jnp.isfinite(start.tip_angle[-1])
-    status = jnp.where(good, history.status, start.status[-1])
-    return replace(nan_unless(good, history), status=status, _states=history._states)
 
 
 def _check_same_points(loads: Loads | None, before: Loads) -> None:
