@@ -68,7 +68,8 @@ def statics():
         cddf.trace(robot, np.array([15.0]), start=history, nodes=8, max_turns=4)
     cddf.trace(pair, [[20.0, 5.0], [10.0, 5.0]], cddf.Loads(tip_force=(0.0, -0.1)), nodes=4, short_steps=2)
     cddf.tip_compliance(history, push=(0.0, -0.1), short_steps=2)
-    print(history.work, history.friction_loss, history.stored_energy, history.equilibria.tension, file=sys.stderr)
+    energies = history.energies
+    print(energies.work, energies.friction_loss, energies.stored_energy, history.equilibria.tension, file=sys.stderr)
     cddf.as_frame(history)
     print(history.at(np.array([0.0, 0.07])).tension, history.sliding(0.07), file=sys.stderr)
 

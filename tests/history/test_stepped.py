@@ -130,8 +130,11 @@ def test_a_neutral_point_that_leaves_at_the_tip():
 def test_what_came_before_is_the_step_before_the_first(pair):
     """The same path, whose first step is not in the result."""
     found = cddf.trace(PAIR, PATH[1:], before=PATH[0])
-    for name in ("tip_tension", "tip_angle", "front", "tendon_displacement", "work", "friction_loss", "error_estimate"):
+    for name in ("tip_tension", "tip_angle", "front", "tendon_displacement", "error_estimate"):
         np.testing.assert_allclose(getattr(found, name), np.asarray(getattr(pair, name))[1:], rtol=1e-9, err_msg=name)
+    for name in ("work", "friction_loss"):
+        whole = np.asarray(getattr(pair.energies, name))
+        np.testing.assert_allclose(getattr(found.energies, name), whole[1:], rtol=1e-9, err_msg=name)
     np.testing.assert_allclose(found.at(0.07).tension, np.asarray(pair.at(0.07).tension)[1:], rtol=1e-9)
 
 
@@ -144,7 +147,7 @@ def test_tensions_before_displacements(pair):
     for name in ("base_tension", "tip_tension"):
         assert np.all(np.abs(getattr(found, name) - getattr(pair, name)[1:]) < 75.0 * error)
     np.testing.assert_allclose(found.tip_angle, pair.tip_angle[1:], atol=1e-9)  # displacement over the offset
-    np.testing.assert_allclose(found.work, pair.work[1:], rtol=1e-3)
+    np.testing.assert_allclose(found.energies.work, pair.energies.work[1:], rtol=1e-3)
 
 
 def test_what_follows_a_failed_step_fails_as_well():
@@ -171,8 +174,8 @@ def test_tendons_that_slide_one_way_are_as_in_solve(pair):
 
 
 def test_work_is_stored_or_lost(pair):
-    missed = np.asarray(pair.work - pair.stored_energy - pair.friction_loss)
-    np.testing.assert_allclose(missed, 0.0, atol=2e-9 * float(pair.work[0]))
+    missed = np.asarray(pair.energies.work - pair.energies.stored_energy - pair.energies.friction_loss)
+    np.testing.assert_allclose(missed, 0.0, atol=2e-9 * float(pair.energies.work[0]))
 
 
 LOAD = cddf.Loads(tip_force=(0.0, -1.0))
@@ -200,9 +203,9 @@ def test_one_tendon_is_as_the_exact_play(loop, exact):
     np.testing.assert_allclose(loop.front, exact.front, atol=2e-5)
     np.testing.assert_array_equal(loop.sliding(jnp.array([0.02, 0.138]))[1], [-1, 0])
     # closed forms of section 2, J; the error of the loss falls with the square of the increments
-    np.testing.assert_allclose(loop.work[0], 415.405749e-3, rtol=GRID)
-    np.testing.assert_allclose(loop.stored_energy[0], 355.679440e-3, rtol=GRID)
-    np.testing.assert_allclose(loop.friction_loss[4], 99.331129e-3, rtol=2e-4)
+    np.testing.assert_allclose(loop.energies.work[0], 415.405749e-3, rtol=GRID)
+    np.testing.assert_allclose(loop.energies.stored_energy[0], 355.679440e-3, rtol=GRID)
+    np.testing.assert_allclose(loop.energies.friction_loss[4], 99.331129e-3, rtol=2e-4)
 
 
 def test_loads_that_rest_on_the_body(loaded):
@@ -211,9 +214,9 @@ def test_loads_that_rest_on_the_body(loaded):
         np.testing.assert_allclose(loaded.tip_angle[step], found.tip_angle, atol=GRID)
         np.testing.assert_allclose(loaded.tip_tension[step], found.tip_tension[0], rtol=GRID)
     np.testing.assert_allclose(loaded.tip_position[2], loaded.tip_position[1], atol=1e-7)  # nothing happens
-    missed = np.asarray(loaded.work - loaded.stored_energy - loaded.friction_loss)
+    missed = np.asarray(loaded.energies.work - loaded.energies.stored_energy - loaded.energies.friction_loss)
     # the error of the trapezoidal rule along the path
-    np.testing.assert_allclose(missed, 0.0, atol=1e-4 * float(loaded.work[1]))
+    np.testing.assert_allclose(missed, 0.0, atol=1e-4 * float(loaded.energies.work[1]))
 
 
 def test_rest_without_tension_changes_nothing(loaded):
@@ -236,7 +239,7 @@ def test_a_history_goes_on(loaded):
     first = cddf.trace(ONE, [40.0, 40.0, 40.0, 40.0, 75.0], LOAD)  # five steps, as above: one program for both
     second = cddf.trace(ONE, [75.0, 60.0], LOAD, start=first)
     np.testing.assert_allclose(second.tip_angle, loaded.tip_angle[2:4], atol=1e-10)
-    np.testing.assert_allclose(second.friction_loss, loaded.friction_loss[2:4], atol=1e-12)
+    np.testing.assert_allclose(second.energies.friction_loss, loaded.energies.friction_loss[2:4], atol=1e-12)
     staying = cddf.trace(ONE, [75.0, 60.0], start=first)  # the loads stay as they are
     np.testing.assert_allclose(staying.tip_angle, loaded.tip_angle[2:4], atol=1e-10)
 
@@ -259,11 +262,11 @@ def test_gravity_rests_while_a_force_changes():
     )
     np.testing.assert_allclose(together.tip_angle[1:], after.tip_angle, atol=1e-9)
     np.testing.assert_allclose(together.tip_tension[1:], after.tip_tension, rtol=1e-9)
-    np.testing.assert_allclose(together.work[1:], after.work, rtol=1e-9)
-    np.testing.assert_allclose(together.friction_loss[0], under_gravity.friction_loss[0], rtol=1e-9)
+    np.testing.assert_allclose(together.energies.work[1:], after.energies.work, rtol=1e-9)
+    np.testing.assert_allclose(together.energies.friction_loss[0], under_gravity.energies.friction_loss[0], rtol=1e-9)
     # gravity that comes with the first tension ends in the same state: the tendon slides one way. Its loss differs
     with_tension = cddf.trace(body, tension[:1], [cddf.Loads(gravity=gravity)])
-    assert abs(with_tension.friction_loss[0] / together.friction_loss[0] - 1) > 1e-3
+    assert abs(with_tension.energies.friction_loss[0] / together.energies.friction_loss[0] - 1) > 1e-3
 
 
 def gives_way(body, force=0.0, moment=0.0):
@@ -282,7 +285,7 @@ def test_a_push_meets_a_stiffer_body_than_the_sliding_one():
     sliding, _ = gives_way(ONE, force=0.01)
     free, _ = gives_way(eqx.tree_at(lambda b: b.friction_coefficient, ONE, np.asarray(0.0)), force=0.01)
     assert 0 < given_way < 0.9 * min(sliding, free)
-    assert float(pushed.friction_loss[2]) > float(pushed.friction_loss[0])
+    assert float(pushed.energies.friction_loss[2]) > float(pushed.energies.friction_loss[0])
     exact = cddf.trace(ONE, [75.0])  # its compliance takes the same path
     np.testing.assert_allclose(-cddf.tip_compliance(exact, push=(0.0, -0.05))[1], given_way, rtol=1e-6)
     harder = -cddf.tip_compliance(exact, push=(0.0, -0.2))[1]

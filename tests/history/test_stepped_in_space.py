@@ -117,7 +117,7 @@ def test_in_a_plane_space_says_the_same(plane_and_space):
     np.testing.assert_allclose(found.tip_tension, flat.tip_tension, atol=1e-4)
     np.testing.assert_allclose(found.tip_position[:, :2], flat.tip_position, atol=1e-6 * LENGTH)
     np.testing.assert_allclose(found.tip_position[:, 2], 0.0, atol=1e-9)
-    np.testing.assert_allclose(found.work, flat.work, rtol=1e-5)
+    np.testing.assert_allclose(found.energies.work, flat.energies.work, rtol=1e-5)
 
 
 @pytest.mark.slow
@@ -157,9 +157,10 @@ def test_turning_the_robot_turns_the_answer():
 
 def test_work_is_stored_or_lost(three):
     """Without loads the balance holds in each increment; with friction back at the straight body all is lost."""
-    np.testing.assert_allclose(three.work - three.stored_energy - three.friction_loss, 0.0, atol=1e-9)
-    assert np.all(np.diff(three.friction_loss) > -1e-12)
-    np.testing.assert_allclose(three.stored_energy[-1], three.stored_energy[0], atol=1e-7)
+    found = three.energies
+    np.testing.assert_allclose(found.work - found.stored_energy - found.friction_loss, 0.0, atol=1e-9)
+    assert np.all(np.diff(found.friction_loss) > -1e-12)
+    np.testing.assert_allclose(found.stored_energy[-1], found.stored_energy[0], atol=1e-7)
 
 
 @pytest.mark.slow

@@ -360,5 +360,5 @@ def test_a_batch_of_histories_is_refused():
     for asked, ask in (("at(s)", batch.at), ("sliding(s)", batch.sliding)):
         said = refused(ask, 0.07)
         assert said.startswith(f"{asked}: needs one history, not a batch of shape (2,); use jax.vmap(lambda history:")
-    with pytest.raises(ValueError, match="work: needs one history"):
-        _ = batch.work
+    with pytest.raises(ValueError, match="energies: needs one history"):
+        _ = batch.energies

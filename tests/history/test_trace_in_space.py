@@ -205,7 +205,8 @@ def test_work_is_the_integral_of_tension_by_displacement():
     """T x less the integral of x by T, by Gauss's rule on each of three ways; a cycle loses what it takes."""
     robot, ends, integral = helix(1.0), np.array([0.0, 75.0, 30.0, 50.0]), 0.0
     history = cddf.trace(robot, [*ends[1:], 30.0, *ends])
-    work, lost = history.work, history.friction_loss  # each is computed anew when it is asked for
+    energies = history.energies
+    work, lost = energies.work, energies.friction_loss
     for k, (a, b) in enumerate(pairwise(ends)):
         nodes, weights = np.polynomial.legendre.leggauss(7 - k)  # eight steps with the ways before
         x = cddf.trace(robot, [*ends[1 : k + 1], *((a + b + (b - a) * nodes) / 2), b]).tendon_displacement
@@ -298,4 +299,4 @@ def test_a_tendon_that_stretches_on_a_rigid_arc():
     np.testing.assert_allclose(history.tendon_displacement[1], pulled, rtol=1e-9)
     np.testing.assert_allclose(history.front[3], arc.length, rtol=1e-6)  # where all of it slides out again
     np.testing.assert_allclose(history.front[2], radius * np.log(75 / 40) / (2 * MU), rtol=1e-8)
-    np.testing.assert_allclose(1e3 * history.friction_loss[-1], 13.107443627, rtol=1e-9)
+    np.testing.assert_allclose(1e3 * history.energies.friction_loss[-1], 13.107443627, rtol=1e-9)

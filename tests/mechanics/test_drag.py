@@ -356,9 +356,9 @@ def test_energy_of_drag_alone():
     work = k * slack**3 / (3 * W) + k * LENGTH * (P**2 - slack**2) / 2
     elastic = k / 2 * (P**3 - (P - slack) ** 3) / (3 * W)
     pull = cddf.trace(replace(CYLINDER, friction_coefficient=0.0), [P], nodes=8)
-    np.testing.assert_allclose(pull.work, [work], rtol=1e-11)
-    np.testing.assert_allclose(pull.stored_energy, [elastic], rtol=1e-11)
-    np.testing.assert_allclose(pull.friction_loss, [work - elastic], rtol=1e-11)
+    np.testing.assert_allclose(pull.energies.work, [work], rtol=1e-11)
+    np.testing.assert_allclose(pull.energies.stored_energy, [elastic], rtol=1e-11)
+    np.testing.assert_allclose(pull.energies.friction_loss, [work - elastic], rtol=1e-11)
 
 
 # --- refusals ------------------------------------------------------------------------------------

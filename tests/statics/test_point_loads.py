@@ -70,8 +70,8 @@ def test_a_path_ends_where_solve_does():
     np.testing.assert_allclose(found.tip_position[-1], [x, y], atol=1e-6)
     np.testing.assert_allclose(found.tip_angle[-1], phi, atol=1e-5)
     np.testing.assert_allclose(found.tip_tension[-1], tensions, atol=1e-5)
-    balance = found.work - found.friction_loss - found.stored_energy
-    np.testing.assert_allclose(balance, 0.0, atol=1e-4 * float(found.work[-1]))
+    balance = found.energies.work - found.energies.friction_loss - found.energies.stored_energy
+    np.testing.assert_allclose(balance, 0.0, atol=1e-4 * float(found.energies.work[-1]))
 
 
 def test_at_the_tip_it_is_a_load_on_the_tip():

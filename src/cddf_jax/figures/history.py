@@ -150,7 +150,7 @@ def draw_energy(
         InputError: when a step failed.
     """
     steps = _steps(history, steps, tendon)
-    of, scale = history._energies, QUANTITIES["work"].shown[0]  # all by one program
+    of, scale = history.energies, QUANTITIES["work"].shown[0]
     work, lost, stored = (scale * np.asarray(energy) for energy in (of.work, of.friction_loss, of.stored_energy))
     at = np.interp(np.arange(len(work)), steps, np.arange(1, len(steps) + 1))
     with draw.axes_or_new(axes, HEIGHT) as axes:

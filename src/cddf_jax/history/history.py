@@ -47,16 +47,21 @@ class States(eqx.Module):
 
 
 class Energies(eqx.Module):
-    """The energies after every step, J; work and loss are sums since the straight body was at rest."""
+    """The energies after every step, J; work and loss are sums since the straight body was at rest.
 
-    work: Float[Array, " steps"]
+    In the exact kinematics the work is stored or lost. In the published kinematics the moment of a tendon is not
+    exactly the derivative of its displacement, so the two sides differ.
+    """
+
+    work: Float[Array, " steps"]  # of base tensions over tendon displacements, and of loads where they act
+    # for one tendon without loads the work less what the tendon has given to the body and stored; else an integral
     friction_loss: Float[Array, " steps"]
-    stored_energy: Float[Array, " steps"]
+    stored_energy: Float[Array, " steps"]  # in the bent body and the stretched tendons
 
 
 @eqx.filter_jit
 def _known_energies(states: States, tip_angle: Float[Array, " steps"]) -> Energies:
-    """Compiled, as else each of work, loss and stored energy would trace all motions again."""
+    """Compiled, as else all motions would be traced again at each call."""
     known = jnp.cumsum(jnp.isnan(tip_angle)) == 0  # after a failed step a sum is not known
     return jax.vmap(nan_unless)(known, states.energies())
 
@@ -97,35 +102,9 @@ class History(eqx.Module):
         return found.reshape(*found.shape[:-1], *s.shape)
 
     @property
-    def work(self) -> Float[Array, " steps"]:
-        """The work of actuators and loads since the body was straight, J.
-
-        It is the integral of the base tensions over the tendon displacements, and of the loads over the displacements
-        of the points where they act.
-        """
-        return self._energies.work
-
-    @property
-    def friction_loss(self) -> Float[Array, " steps"]:
-        """The part of the work that friction and drag have dissipated, J.
-
-        For one tendon without loads it is the work less what the tendon has given to the body and stored itself, which
-        in the exact kinematics is the stored energy. With several tendons or loads it is an integral of its own.
-        """
-        return self._energies.friction_loss
-
-    @property
-    def stored_energy(self) -> Float[Array, " steps"]:
-        """The elastic energy of the bent body and the stretched tendons, J.
-
-        In the exact kinematics work = stored energy + friction loss. In the published kinematics the moment of a
-        tendon is not exactly the derivative of its displacement, so the two sides differ.
-        """
-        return self._energies.stored_energy
-
-    @property
-    def _energies(self) -> Energies:
-        self._check_single("work")
+    def energies(self) -> Energies:
+        """Work, friction loss and stored energy. They are computed anew at each call: keep the result."""
+        self._check_single("energies")
         return _known_energies(self._states, self.tip_angle)
 
     def _check_single(self, asked: str) -> None:

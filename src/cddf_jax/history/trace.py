@@ -143,7 +143,8 @@ def _exactly(
     past = Before(jnp.zeros(0, values.dtype) if earlier is None else earlier.astype(values.dtype))
     if start is not None:
         assert isinstance(start._states, CongruentStates)
-        past = Before(start._states.open_tension, jnp.stack([start.work[-1], start.friction_loss[-1]]))
+        energies = start.energies
+        past = Before(start._states.open_tension, jnp.stack([energies.work[-1], energies.friction_loss[-1]]))
     known = not isinstance(earlier, Tracer) and not isinstance(values, Tracer)
     if earlier is not None and known and not driven and earlier[0] < values[0]:
         raise ValueError(

@@ -156,7 +156,7 @@ def _head(text: str, name: str) -> str:
 
 def history_numbers(history: History) -> dict[str, np.ndarray]:
     """The numbers of a history by name, step first."""
-    known = picked(history, OF_STEPS) | picked(history._energies, ENERGIES)  # all energies by one program
+    known = picked(history, OF_STEPS) | picked(history.energies, ENERGIES)
     return {name: np.asarray(values) for name, values in known.items() if values is not None}
 
 

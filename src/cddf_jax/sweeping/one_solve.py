@@ -64,13 +64,15 @@ IN_SPACE: dict[str, tuple[str, ...]] = {
     "frame": ("point", "component", "axis"),
     "path": ("tendon", "point", "component"),
 }
+ENERGIES = ("work", "friction_loss", "stored_energy")  # of a history
 OUTPUTS_OF = {2: OUTPUTS, 3: IN_SPACE}  # by the number of components of a position
 # outputs of a `History` by that number, and their dimensions besides those of the sweep
 OF_HISTORY: dict[int, dict[str, tuple[str, ...]]] = {
     components: {
         **{name: known[name] for name in ("tip_position", "tip_angle", "tip_tension", "tendon_displacement")},
         **{name: known[name] for name in ("direction", "error_estimate")},
-        **{"front": ("tendon",), "num_turns": (), "work": (), "friction_loss": (), "stored_energy": ()},
+        **{"front": ("tendon",), "num_turns": ()},
+        **dict.fromkeys(ENERGIES, ()),
         **{name: dims for name, dims in known.items() if name == "tip_frame"},
         **{name: dims for name, dims in known.items() if "point" in dims},
     }
@@ -199,7 +201,7 @@ def _after_each_step(history: History, name: str) -> Array:
     dims = OF_HISTORY[history.tip_position.shape[-1]][name]
     if "point" in dims:
         return getattr(history.equilibria, name)
-    values = getattr(history, name)
+    values = getattr(history.energies if name in ENERGIES else history, name)
     return values.reshape(len(values), -1) if dims == ("tendon",) else values
 
 
