@@ -17,12 +17,12 @@ from ..quantities import QUANTITIES, dimension_of
 from ..units import shown
 from .cross_section import CrossSection, Kinematics, SpatialSection
 from .profiles import (
-    Along,
     Constant,
     Linear,
     Number,
     Points,
     Profile,
+    ProfileLike,
     Scalar,
     as_number,
     as_profile,
@@ -41,7 +41,7 @@ def _as_optional_number(value: object) -> Any:
     return None if value is None else as_number(value)
 
 
-def _as_optional_profile(value: Along | None) -> Profile | None:
+def _as_optional_profile(value: ProfileLike | None) -> Profile | None:
     return None if value is None else as_profile(value)
 
 
@@ -54,7 +54,7 @@ def _as_rest_curvature(value: Any) -> Any:
     return tuple(as_profile(part) for part in parts)
 
 
-def _as_modulus(value: Along | None) -> Profile | Number | None:
+def _as_modulus(value: ProfileLike | None) -> Profile | Number | None:
     """A constant modulus stays a number, named "youngs_modulus"; a varying one is a profile."""
     return _as_optional_profile(value) if callable(value) else _as_optional_number(value)
 
@@ -515,7 +515,7 @@ def conical(
     outer_radius: Taper,
     inner_radius: Taper,
     tendon_offset: Taper,
-    youngs_modulus: Along,
+    youngs_modulus: ProfileLike,
     friction_coefficient: ArrayLike,
     density: ArrayLike = 0.0,
     num_tendons: int = 1,

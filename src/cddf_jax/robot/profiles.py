@@ -21,7 +21,7 @@ Number = Array | np.ndarray
 Scalar = Float[Number, ""]
 Points = Float[ArrayLike, "*points"]
 Profile = Callable[[Points], Array]
-Along = ArrayLike | Callable[[Points], ArrayLike]  # of which a profile is made: a number or a function
+ProfileLike = ArrayLike | Callable[[Points], ArrayLike]  # of which a profile is made: a number or a function
 FEW = 64  # points among which comparing is faster than searching
 
 
@@ -35,7 +35,7 @@ def as_number(value: object) -> Number:
     return value if isinstance(value, jax.Array) else np.asarray(value, dtype=np.float64)
 
 
-def as_profile(value: Along) -> Profile:
+def as_profile(value: ProfileLike) -> Profile:
     """A profile from a number or a function; a callable pytree is returned as it is."""
     if not callable(value):
         return Constant(value)
@@ -90,7 +90,7 @@ class Piecewise(eqx.Module):
     ends: Float[Number, " joints"] = eqx.field(converter=as_number)
     pieces: tuple[Profile, ...]
 
-    def __init__(self, ends: ArrayLike | Sequence[ArrayLike], pieces: Sequence[Along]):
+    def __init__(self, ends: ArrayLike | Sequence[ArrayLike], pieces: Sequence[ProfileLike]):
         self.ends = as_number(ends)
         self.pieces = tuple(map(as_profile, pieces))
         if np.ndim(self.ends) != 1 or len(self.pieces) != np.shape(self.ends)[0] + 1:
@@ -237,7 +237,7 @@ def shifted(profile: Profile, by: ArrayLike) -> Profile:
     return Constant(profile.value + by) if isinstance(profile, Constant) else Shifted(profile, by)
 
 
-def breakpoints(profile: Along) -> Float[Number, " n"]:
+def breakpoints(profile: ProfileLike) -> Float[Number, " n"]:
     """The arc lengths (m) at which a profile is not smooth; none unless it names some."""
     own = getattr(profile, "breakpoints", None)
     return np.zeros(0) if own is None else jnp.asarray(own)
