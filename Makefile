@@ -12,7 +12,7 @@ fit: .venv/ready  ## fit the shipped bench data and reproduce the paper's figure
 	$(BIN)/cddf fit $(ROBOT) data/pulley_simulated.csv $(TRIALS) --out out/fit
 	$(BIN)/cddf reproduce $(ROBOT) $(TRIALS) --out out/reproduce
 
-test: .venv/ready  ## the tests of every change, on every core: five minutes on two
+test: .venv/ready  ## the tests of every change, on every core: four minutes on two
 	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 test-slow: .venv/ready  ## the tests that take long, which `test` leaves out

@@ -218,7 +218,6 @@ HELIX = tube(cddf.Tendon(8e-3, angle=cddf.Linear(0.0, 3.0, L)))
     [
         (STRAIGHT, cddf.Even("curvature"), "'curvature' has three components in space; take 'bending' or 'twist'"),
         (STRAIGHT, cddf.Most("tip_stiffness"), "'tip_stiffness' has two directions across the tip in space; take"),
-        (STRAIGHT, cddf.Least("hysteresis"), "'hysteresis' is not known in space; leave it out"),
         (PLANAR, cddf.Most("tip_z"), "'tip_z' is zero of a body in the plane; give a tendon an angle"),
         (PLANAR, cddf.Most("twist"), "'twist' is zero of a body in the plane; give a tendon an angle"),
         (tube(cddf.Tendon(8e-3), extensible=True), cddf.Least("strain"), "'strain' is not known along an axis that"),

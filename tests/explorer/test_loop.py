@@ -60,6 +60,7 @@ def test_the_path_is_that_of_a_trace(one):
         np.testing.assert_allclose(found.position[-1], whole.tip_position[-1], rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_several_tendons_and_loads_have_a_past():
     """Within the error of elements and increments. After the second step the tendons hold each other."""
     pair, rel = Exploration(paper_body("exact", num_tendons=2)), 5e-3
