@@ -66,7 +66,7 @@ def bench(tendons: int, rng: np.random.Generator) -> cddf.Measurements:
     read = path + OFFSET + ENCODER * rng.normal(size=path.shape)
     columns = {f"displacement{end}": read[:, i] for i, end in enumerate(ends)}
     columns |= {f"tip_{axis}": own for axis, own in zip("xyz", tip.T, strict=False)} | {"step": np.arange(len(path))}
-    return cddf.Measurements.from_columns("driven", **columns)
+    return cddf.Measurements.from_columns("driven", ("simulated",), **columns)
 
 
 def coverage(tendons: int, numbers: range) -> dict[str, Any]:

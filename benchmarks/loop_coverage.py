@@ -120,7 +120,7 @@ def table(scenario: Scenario, read: dict[str, np.ndarray], rng: np.random.Genera
     pulls = scenario.path.T + errors
     path = {f"base_tension{f'_{i + 1}' if i else ''}": pulled for i, pulled in enumerate(pulls)}
     own = path | {"step": np.arange(len(scenario.path))} | {name: noisy[name] for name in scenario.columns}
-    return cddf.Measurements.from_columns("loop", **own)
+    return cddf.Measurements.from_columns("loop", ("simulated",), **own)
 
 
 def coverage(scenario: Scenario, loops: int) -> dict[str, Any]:

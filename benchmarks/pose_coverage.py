@@ -74,7 +74,7 @@ def bench(draw: Draw) -> cddf.Measurements:
     read = draw.pulls + draw.misread
     columns = {f"base_tension{end}": read[:, i] for i, end in enumerate(("", "_2", "_3"))}
     columns |= {f"tip_{axis}": tip[:, i] for i, axis in enumerate("xyz")} | {"step": np.arange(POSES)}
-    return cddf.Measurements.from_columns("poses", **columns)
+    return cddf.Measurements.from_columns("poses", ("simulated",), **columns)
 
 
 def coverage(numbers: range, history: bool, estimated: bool) -> dict[str, Any]:

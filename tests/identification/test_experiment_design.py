@@ -217,7 +217,7 @@ def test_poses_one_after_another_are_planned_as_they_are_fitted():
     ).tip_position  # with the elements and increments of a fit
     columns = {name: np.asarray(own) for name, own in candidate.conditions.items()}
     columns |= {f"tip_{axis}": tips[:, i] for i, axis in enumerate("xyz")}
-    table = cddf.Measurements.from_columns("poses", **columns)
+    table = cddf.Measurements.from_columns("poses", ("simulated",), **columns)
     fit = cddf.fit(body, table, noise=dict(candidate.noise) | {"base_tension": 0.0})
     for name, error in fit.standard_error.items():
         assert first.standard_error[name] == pytest.approx(error, rel=1e-3)

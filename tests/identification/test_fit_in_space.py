@@ -334,7 +334,7 @@ def test_rows_that_were_each_pulled_from_rest():
     columns = dict(zip(names, pulls.T, strict=True))
     columns |= {f"tip_{axis}": [float(each.tip_position[0, i]) for each in read] for i, axis in enumerate("xyz")}
     columns |= {"tip_tension": [float(each.tip_tension[0, 0]) for each in read]}
-    table = cddf.Measurements.from_columns("rows", **columns)
+    table = cddf.Measurements.from_columns("rows", ("simulated",), **columns)
     noise = {"tip_x": 1e-4, "tip_y": 1e-4, "tip_z": 1e-4, "tip_tension": 0.02, "base_tension": 0.0}
     start = dataclasses.replace(body, friction_coefficient=0.2, youngs_modulus=1.2e6)
     found = cddf.fit(start, table, noise=noise)

@@ -1,5 +1,6 @@
 """The result of `trace`: the states of a manipulator after each step of a path; the axis of steps comes first."""
 
+import dataclasses
 from abc import abstractmethod
 from collections.abc import Sequence
 
@@ -59,6 +60,9 @@ class Energies(eqx.Module):
     stored_energy: Float[Array, " steps"]  # in the bent body and the stretched tendons
 
 
+ENERGIES = tuple(field.name for field in dataclasses.fields(Energies))
+
+
 @eqx.filter_jit
 def _known_energies(states: States, tip_angle: Float[Array, " steps"]) -> Energies:
     """Compiled, as else all motions would be traced again at each call."""
@@ -103,7 +107,7 @@ class History(eqx.Module):
 
     @property
     def energies(self) -> Energies:
-        """Work, friction loss and stored energy. They are computed anew at each call: keep the result."""
+        """Work, friction loss and stored energy. They are computed anew at each access: keep the result."""
         self._check_single("energies")
         return _known_energies(self._states, self.tip_angle)
 

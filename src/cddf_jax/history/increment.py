@@ -3,8 +3,8 @@
 Each tendon obeys Coulomb's law in every element: the jump of its tension is a share z of the limit of friction, between
 -1 and 1, which changes only while the tendon slips, and reaches the ends where it slides. The law is softened by a very
 small elastic slip e: z = x / (1 + x^p)^(1/p) with a large even p, where x grows by dw / e with the slip dw. Newton's
-method treats z as an unknown of its own (primal-dual), so that it hardly overshoots. Where it does not
-settle at once with the small e, as at a turn, it goes from a large e to the small one (continuation).
+method treats z as an unknown of its own (primal-dual), so that it hardly overshoots. Where it does not settle at once
+with the small e, as at a turn, it goes from a large e to the small one (continuation).
 """
 
 from functools import partial
@@ -107,7 +107,7 @@ def _attempt(setting: Setting, number: Number) -> _Attempt:
 
 
 def _begun(setting: Setting, start: Node, attempt: Number) -> _Search:
-    """The begin of an attempt, in which tendons that slide are expected to slide on."""
+    """The start of an attempt, in which tendons that slide are expected to slide on."""
     none, share = 0.0 * attempt, setting.before.share + 0.0 * attempt
     first = _attempt(setting, attempt).first
     return _Search(start, _strain_of(share), share, first, none, none + jnp.inf, attempt, none > 0)
@@ -153,7 +153,7 @@ def _(primals, tangents):
 
 
 def _strain_of(share: PerElement) -> PerElement:
-    """x, of z; of a tendon that slid as if it had only just begun to slide, as it need not slide back."""
+    """x, of z. A tendon that slid need not slide back as far: its x is that where sliding begins."""
     return share / jnp.maximum(1.0 - share**tol.CORNER, tol.SLIDING) ** (1 / tol.CORNER)
 
 
@@ -163,7 +163,7 @@ def _share_of(strain: PerElement) -> PerElement:
 
 
 def _size_of(strain: PerElement) -> PerElement:
-    """X / z."""
+    """The quotient x / z."""
     return (1.0 + strain**tol.CORNER) ** (1 / tol.CORNER)
 
 
@@ -173,7 +173,7 @@ def _elastic(setting: Setting, part: Number | float) -> Number:
 
 
 def _strain(setting: Setting, nodes: Node, elastic: Number) -> PerElement:
-    """X."""
+    """The slips since the increment before, in elastic slips, from where the shares were: x."""
     slid = nodes.slip[1:] - setting.before.nodes.slip[1:]  # the slip of an element is that before its end
     return _strain_of(setting.before.share) + slid / elastic
 

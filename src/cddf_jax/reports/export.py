@@ -13,7 +13,7 @@ from ..errors import InputError, needed
 from ..estimation.determination import IDENTIFIED, NOT_IDENTIFIED, Determination
 from ..files.csv_table import table_csv
 from ..files.writing import picked
-from ..history.history import History
+from ..history.history import ENERGIES, History
 from ..identification.experiment_design import Plan
 from ..identification.parameters import unit_of
 from ..measurements.columns import column_dimension
@@ -36,7 +36,6 @@ OF_STEPS = (  # columns of a history
     *("base_tension", "tip_tension", "tip_angle", "tip_position", "tendon_displacement", "direction", "front"),
     *("num_turns", "error_estimate"),
 )
-ENERGIES = ("work", "friction_loss", "stored_energy")
 # columns of tables: a body in the plane has a heading, one in space has frame, twist and path
 ALONG = ("heading", "frame", "curvature", "twist", "tension", "normal_force", "friction_force", "path")
 

@@ -11,7 +11,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from ..batch.chunks import Coordinate, Variable
 from ..errors import within
-from ..history.history import History
+from ..history.history import ENERGIES, History
 from ..history.trace import trace
 from ..mechanics.problem import Method
 from ..quantities import QUANTITIES
@@ -64,7 +64,6 @@ IN_SPACE: dict[str, tuple[str, ...]] = {
     "frame": ("point", "component", "axis"),
     "path": ("tendon", "point", "component"),
 }
-ENERGIES = ("work", "friction_loss", "stored_energy")  # of a history
 OUTPUTS_OF = {2: OUTPUTS, 3: IN_SPACE}  # by the number of components of a position
 # outputs of a `History` by that number, and their dimensions besides those of the sweep
 OF_HISTORY: dict[int, dict[str, tuple[str, ...]]] = {
