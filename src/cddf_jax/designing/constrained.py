@@ -14,6 +14,7 @@ TOLERANCE = 1e-6  # scaled: of limits, and of the first-order optimality
 ACTIVE = 1e-5  # scaled: a limit or bound with a smaller margin is active
 UNIQUE = 1e-5  # relative: multipliers that differ by less are the same
 REFUSED = 1e3  # times the objective: the value where the function has no answer
+STALLED = 20, 1e-5  # iterations in which the best objective becomes smaller by so little, scaled: a search ends
 
 Vector = Float[np.ndarray, " _"]
 Matrix = Float[np.ndarray, "_ _"]
@@ -105,7 +106,7 @@ def minimise_constrained(
     *,
     max_iterations: int = 300,
 ) -> LocalMinimum:
-    """Search from one start with SLSQP.
+    """Search from one start with SLSQP, which creeps along a limit that bends with the objective: there it is stopped.
 
     Args:
         function: values and exact first derivatives anywhere within the bounds.
@@ -125,6 +126,7 @@ def minimise_constrained(
                 {"type": "eq", "fun": lambda x: seen(x).equality, "jac": lambda x: seen(x).equality_slopes},
             ],
             method="SLSQP",
+            callback=seen.end_if_stalled,
             options={"maxiter": max_iterations, "ftol": 1e-14},
         )
     last = seen(np.clip(found.x, lower, upper))
@@ -141,6 +143,7 @@ class _Seen:
     def __init__(self, function: VectorFunction, start: Vector):
         self.function = function
         self.last = self.best = function(start)
+        self.ranks: list[tuple[float, float]] = []  # of the best point after each iteration
 
     def __call__(self, x: Vector) -> Point:
         if not np.array_equal(x, self.last.x):
@@ -151,6 +154,14 @@ class _Seen:
             elif _rank(self.last) < _rank(self.best):
                 self.best = self.last
         return self.last
+
+    def end_if_stalled(self, _: Vector) -> None:
+        """End the search where the best point has hardly become better in the last iterations."""
+        self.ranks.append(_rank(self.best))
+        count, little = STALLED
+        gained = np.subtract(self.ranks[-1 - count :][0], self.ranks[-1])
+        if len(self.ranks) > count and np.all(gained < little):
+            raise StopIteration
 
 
 def _rank(point: Point) -> tuple[float, float]:

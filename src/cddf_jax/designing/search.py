@@ -8,7 +8,16 @@ import numpy as np
 
 from ..progress import each, stage
 from ..statics.status import Status
-from .constrained import ACTIVE, TOLERANCE, LocalMinimum, Point, least_violation, minimise_constrained, optimality
+from .constrained import (
+    ACTIVE,
+    STALLED,
+    TOLERANCE,
+    LocalMinimum,
+    Point,
+    least_violation,
+    minimise_constrained,
+    optimality,
+)
 from .problem import USABLE, DesignEvaluation, DesignProblem, pieces_of
 
 WANDERING = 16  # last stations, which are moved to where limits are broken between the others
@@ -119,11 +128,11 @@ class DesignSearch:
         return still & (np.max(np.abs(slopes), axis=0) * self.ranges <= FLAT)
 
     def _from(self, z: np.ndarray) -> SearchResult:
-        """The search from one start, repeated while it ends too early or limits are broken between the stations.
+        """The search from one start, repeated while that helps and it is not stationary, or limits are broken between.
 
         If limits are broken at its end, it begins again at the point that breaks them least.
         """
-        problem, x, looks = self.problem, self.with_heights(z), 0
+        problem, x, looks, before = self.problem, self.with_heights(z), 0, np.inf
         while True:
             local, blocking = self._minimum(problem, x), ()
             if not local.feasible:
@@ -135,12 +144,14 @@ class DesignSearch:
                     point, blocking = problem(x), self._blocking(problem, least)
                     local = local._replace(point=point, optimality=optimality(point, *self.bounds))
             violation, places = broken_between(problem, local)
-            done = violation <= TOLERANCE and (local.stationary or local.iterations >= self.max_iterations)
+            ended = local.iterations >= self.max_iterations or local.point.objective > before - STALLED[1]
+            done = violation <= TOLERANCE and (local.stationary or ended)
             if done or not local.feasible or looks == LOOKS:
                 return SearchResult(local, problem, violation, blocking)
             kept, wandering = np.split(np.asarray(problem.stations), [-WANDERING])
             moved = np.concatenate([kept, wandering[len(places) :], places])  # in place of the oldest
             problem, x, looks = replace(problem, stations=jnp.asarray(moved)), local.point.x, looks + 1
+            before = local.point.objective
 
     @stage("searching")
     def _minimum(self, problem: DesignProblem, x: np.ndarray) -> LocalMinimum:

@@ -7,7 +7,7 @@ Each step needs two equilibria, both from the base to its front: its own, and th
 """
 
 from functools import partial
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -28,7 +28,6 @@ from .turns import NO_STEP, Turns
 
 Number = Float[Array, ""]
 Heading = Float[Array, "*axes"]  # phi, rad, in the plane; in space R, whose columns are the axes, (3, 3)
-Tree = TypeVar("Tree")
 
 
 class Onward(NamedTuple):
@@ -66,19 +65,19 @@ def slid_up_to(body: Manipulator, nodes: int, tension: Number, direction: Number
     solved = found._dense.solved
     # the status compares the direction with the travel from rest, which does not matter here
     status = jnp.where(found.status == Status.direction_contradicted, Status.successful, found.status)
-    tension, heading, position, pulled_in, stored, given, error = _zero_unless(
+    added = Onward(
+        found.tip_angle if found.tip_frame is None else found.tip_frame,
+        found.tip_position,
+        found.tendon_displacement[0] - outside,
+        stored_energy(found._dense),
+        given_energy(found._dense),
+        found.error_estimate,
         solved,
-        (
-            found.tip_tension[0],
-            found.tip_angle if found.tip_frame is None else found.tip_frame,
-            found.tip_position,
-            found.tendon_displacement[0] - outside,
-            stored_energy(found._dense),
-            given_energy(found._dense),
-            found.error_estimate,
-        ),
+        status,
     )
-    return Slid(front, tension, Onward(heading, position, pulled_in, stored, given, error, solved, status))
+    # NaN of a solve that failed would spoil the derivatives of other steps
+    tension, added = jax.tree.map(lambda x: jnp.where(solved, x, jnp.zeros_like(x)), (found.tip_tension[0], added))
+    return Slid(front, tension, added._replace(status=status))
 
 
 def ends_of_motion(body: Manipulator, nodes: int, motion: Motion, *, refined: bool = True) -> tuple[Number, Slid, Slid]:
@@ -157,15 +156,15 @@ def tips(body: Manipulator, own: Slid, other: Slid, turns: Turns) -> Tip:
         own, other, turn = given
         end, onward, tip_tension = jax.tree.map(lambda x: x[jnp.maximum(turn.place - 1, 0)], stack)
         first = turn.before == NO_STEP
-        between = _between(other.added, end.added)
-        rest = _choose(own.end < end.end, _joined(between, onward), onward)
+        between = _joined(_backwards(other.added), end.added)
+        rest = jax.tree.map(partial(jnp.where, own.end < end.end), _joined(between, onward), onward)
         missed = jnp.abs(own.tension - other.tension) / jnp.where(other.tension > 0, other.tension, 1.0)
         rest = rest._replace(
             error=jnp.maximum(rest.error, jnp.where(own.end < length, missed, 0.0)),
             solved=rest.solved & end.added.solved,  # all equilibria that enter must be known
             status=_first_failure(rest.status, end.added.status),
         )
-        rest = _choose(first, nothing, rest)
+        rest = jax.tree.map(partial(jnp.where, first), nothing, rest)
         tension = jnp.where(first | (own.end >= length), own.tension, tip_tension)
         tip = _joined(own.added, rest)
         new = own, rest, tension
@@ -180,19 +179,11 @@ def tips(body: Manipulator, own: Slid, other: Slid, turns: Turns) -> Tip:
     return jax.lax.scan(add, empty, (own, other, turns))[1]
 
 
-def _between(start: Onward, end: Onward) -> Onward:
-    """The part between two cross-sections of one equilibrium, in the frame of the first."""
-    back = turned_back(start.heading)
-    return Onward(
-        turned_on(back, end.heading),
-        rotated(end.position - start.position, back),
-        end.pulled_in - start.pulled_in,
-        end.stored - start.stored,
-        end.given - start.given,
-        jnp.maximum(start.error, end.error),
-        start.solved & end.solved,
-        _first_failure(start.status, end.status),
-    )
+def _backwards(part: Onward) -> Onward:
+    """From the end of a part to its start, in the frame of its end."""
+    back = turned_back(part.heading)
+    position, sums = -rotated(part.position, back), (-part.pulled_in, -part.stored, -part.given)
+    return Onward(back, position, *sums, part.error, part.solved, part.status)
 
 
 def _joined(here: Onward, further: Onward) -> Onward:
@@ -206,15 +197,6 @@ def _joined(here: Onward, further: Onward) -> Onward:
         here.solved & further.solved,
         _first_failure(here.status, further.status),
     )
-
-
-def _zero_unless(good: Bool[Array, ""], tree: Tree) -> Tree:
-    """Zero where a solve failed: NaN would spoil the derivatives of other steps."""
-    return jax.tree.map(lambda x: jnp.where(good, x, 0.0), tree)
-
-
-def _choose(condition: Bool[Array, ""], one: Tree, other: Tree) -> Tree:
-    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), one, other)
 
 
 def _first_failure(one: Int[Array, ""], other: Int[Array, ""]) -> Int[Array, ""]:

@@ -163,14 +163,14 @@ def steps_in_words(history: History, steps: Sequence[int]) -> list[str]:
         history: the whole history; it may have further steps between.
         steps: indices from 0.
     """
-    describe = _step_of_tendons if history.num_turns is None else _step_of_one
     of_steps = ("base_tension", "tip_tension", "tip_angle", "tendon_displacement", "direction", "front")
     states = {name: np.asarray(getattr(history, name))[list(steps)] for name in of_steps}
     codes, length = np.asarray(history.status)[list(steps)], float(history._states.manipulator.length)
     slack = f"; {'the' if np.ndim(history.base_tension) == 1 else 'a'} tendon is slack, as it would have to push"
     lines = []
     for i, code in enumerate(codes):
-        words = words_of(code) if np.isnan(states["tip_angle"][i]) else describe(states, i, length)
+        failed, exact = np.isnan(states["tip_angle"][i]), history.num_turns is not None
+        words = words_of(code) if failed else _step_in_words(states, i, length, exact=exact)
         lines.append(f"{i + 1}: {words}{slack if code == Status.slack else ''}")
     return [f"the last {STEPS} of {len(lines):,} steps:", *lines[-STEPS:]] if len(lines) > STEPS else lines
 
@@ -182,37 +182,24 @@ def last_line(history: History) -> str:
     return f"error estimate {np.max(known, initial=0.0):.1e}; {ended}"
 
 
-def _step_of_one(states: dict[str, np.ndarray], i: int, length: float) -> str:
+def _step_in_words(states: dict[str, np.ndarray], i: int, length: float, *, exact: bool) -> str:
     """ "released to 40 N, slides out up to 115.09 mm and rests beyond; tip tension 45.1 N, ..."."""
-    tension = states["base_tension"][i]
-    if not np.any(states["base_tension"][: i + 1]):
-        return f"{shown(tension, 'force')}, at rest"
-    way, slides = ("pulled", "slides in") if states["direction"][i] > 0 else ("released", "slides out")
-    front = states["front"][i]
-    where = "along the whole body" if front >= length else f"up to {shown(front, 'length')} and rests beyond"
-    how = f"{way} to {shown(tension, 'force')}, {slides} {where}"
-    if i > 0 and tension == states["base_tension"][i - 1]:
-        how = f"stays at {shown(tension, 'force')}"
-    return f"{how}; tip tension {shown(states['tip_tension'][i], 'force')}, {_tip_and_travel(states, i)}"
-
-
-def _step_of_tendons(states: dict[str, np.ndarray], i: int, length: float) -> str:
-    """ "tendon 1 at 60 N slides out up to 52.7 mm, ...; tip tensions 50.3 N, 23.9 N, tip angle 44.1 deg, ..."."""
-    each = [np.ravel(states[name][i]) for name in ("base_tension", "front", "direction")]
-    parts = []
-    for number, (tension, front, direction) in enumerate(zip(*each, strict=True), 1):
-        way = "slides in" if direction > 0 else "slides out"
-        where = "along the whole body" if front >= length else f"up to {shown(float(front), 'length')}"
-        moves = f"{way} {where}" if front > 0 else "rests at the base"
-        name = f"tendon {number}" if each[0].size > 1 else "the tendon"
-        parts.append(f"{name} at {shown(float(tension), 'force')} {moves}")
-    tips = listed(states["tip_tension"][i], "force")
-    return f"{', '.join(parts)}; tip tension {tips}, {_tip_and_travel(states, i)}"
-
-
-def _tip_and_travel(states: dict[str, np.ndarray], i: int) -> str:
-    angle = shown(float(states["tip_angle"][i]), "angle")
-    return f"tip angle {angle}, pulled in {listed(states['tendon_displacement'][i], 'length')}"
+    if exact and not np.any(states["base_tension"][: i + 1]):
+        return f"{shown(states['base_tension'][i], 'force')}, at rest"
+    now, front, direction = (np.ravel(states[name][i]) for name in ("base_tension", "front", "direction"))
+    before, parts = np.ravel(states["base_tension"][i - 1]) if i > 0 else np.zeros_like(now), []
+    for k, tension in enumerate(now):
+        name = f"tendon {k + 1} " if now.size > 1 else ""
+        how = "stays at" if tension == before[k] else "pulled to" if tension > before[k] else "released to"
+        parts.append(f"{name}{how} {shown(tension, 'force')}")
+        if exact and tension == before[k]:
+            continue
+        where = "along the whole body" if front[k] >= length else f"up to {shown(front[k], 'length')} and rests beyond"
+        way = "in" if direction[k] > 0 else "out"
+        parts[-1] += f", slides {way} {where}" if front[k] > 0 else ", rests at the base"
+    tips, angle = listed(states["tip_tension"][i], "force"), shown(states["tip_angle"][i], "angle")
+    pulled_in = listed(states["tendon_displacement"][i], "length")
+    return "; ".join([*parts, f"tip tension {tips}, tip angle {angle}, pulled in {pulled_in}"])
 
 
 def listed(values: np.ndarray, dimension: Dimension) -> str:

@@ -312,12 +312,8 @@ def _heading(state: State) -> Heading:
 def _fields_at(branches: Dense, parts: _Part, arc_length: Number) -> AnyFields:
     """The fields at one arc length, tendons last, of a body of several parts; NaN off the body."""
     part = jax.tree.map(lambda x: x[jnp.argmax((parts.end > parts.start) & (arc_length <= parts.end))], parts)
-    return _placed(part, jax.tree.map(lambda x: x[part.branch], branches)(arc_length))
-
-
-def _placed(part: _Part, fields: AnyFields) -> AnyFields:
-    """The fields of an equilibrium, moved to where its part lies in the traced body."""
-    placed = {
+    fields = jax.tree.map(lambda x: x[part.branch], branches)(arc_length)
+    placed = {  # moved to where the part lies in the traced body
         "position": part.moved + rotated(fields.position, part.turned),
         "wrap_angle": fields.wrap_angle + part.wrapped,
         "normal_force": rotated(fields.normal_force, part.turned),

@@ -231,7 +231,8 @@ def stepped_history(manipulator: Manipulator, path: Path, start: SteppedStates |
     least = least * jnp.maximum(1.0, instants.body.elastic / (tol.ELASTIC * grid.scale))
     error = least + SAFETY * jnp.sum(apart, axis=0) + jax.vmap(partial(pushed, grid))(instants, tip)
     good = physical & jnp.all(passes.body.converged, axis=0)
-    states = SteppedStates(manipulator, passes, _last(path.loads) or _no_loads(grid), kind.num_elements)
+    loads = _last(path.loads) or jax.tree.map(jnp.asarray, Loads().with_components(manipulator.components))
+    states = SteppedStates(manipulator, passes, loads, kind.num_elements)
     pulled_in, pull = jax.vmap(grid.pulled_in)(instants.body.nodes), instants.given.base_tension
     pull, pulled_in, tip, error, front = jax.vmap(nan_unless)(good, (pull, pulled_in, tip, error, fronts[0]))
     driven = tendons_of(kind.driven)
@@ -262,7 +263,7 @@ def _checked(manipulator: Manipulator, path: Path) -> tuple[Manipulator, Path, B
     asked, ones = manipulator, jnp.ones_like(path.tension[0])
     manipulator, _, _, (path,) = harmless(manipulator, ones, ones, (path,))
     path = path._replace(tension=jnp.maximum(path.tension, 0.0))
-    laid_out = lay_out(manipulator, ones, ones, 4, _first(path.loads))
+    laid_out = lay_out(manipulator, ones, ones, 4, jax.tree.map(lambda x: x[0], path.loads))
     return manipulator, path, usable & finite & is_physical(asked, ones, ones, laid_out)
 
 
@@ -281,17 +282,8 @@ def _status(
 
 def squeezed(history: History) -> History:
     """The history of one tendon whose numbers have no axis of tendons."""
-
-    def per_tendon(history: History):
-        return (
-            history.base_tension,
-            history.tip_tension,
-            history.direction,
-            history.front,
-            history.tendon_displacement,
-        )
-
-    return eqx.tree_at(per_tendon, history, [x[:, 0] for x in per_tendon(history)])
+    per_tendon = "base_tension", "tip_tension", "direction", "front", "tendon_displacement"
+    return replace(history, **{name: getattr(history, name)[:, 0] for name in per_tendon})
 
 
 def after_first(history: History) -> History:
@@ -316,14 +308,5 @@ def _usable(path: Path) -> Bool[Array, " steps"]:
     return finite & jnp.all(path.tension >= 0, axis=1)
 
 
-def _no_loads(grid: Grid) -> Loads:
-    force = jnp.zeros(grid.geometry.components)
-    return Loads(force, jnp.zeros(grid.geometry.no_moment.shape), force)
-
-
 def _last(loads: Loads | None) -> Loads | None:
     return jax.tree.map(lambda x: x[-1], loads)
-
-
-def _first(loads: Loads | None) -> Loads | None:
-    return jax.tree.map(lambda x: x[0], loads)

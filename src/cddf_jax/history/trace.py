@@ -23,7 +23,7 @@ from ..statics.equilibrium import nan_unless
 from ..statics.response import tip_compliance
 from ..statics.status import Status, words_of
 from .grid import Goal
-from .history import GOOD, History
+from .history import GOOD, History, listed
 from .path import Driven, Path, as_numbers, given_path
 from .play_operator import Before, CongruentStates, congruent_history
 from .stepped import ACCURACY, ELEMENTS, Following, SteppedStates, after_first, after_step, squeezed, stepped_history
@@ -238,11 +238,7 @@ def _raise_if_failed(history: History) -> None:
     words = words_of(codes[step])
     if isinstance(history._states, SteppedStates) and codes[step] == Status.inaccurate:
         words = f"The error estimate exceeds {ACCURACY:g}: raise short_steps= and nodes=, or give throw=False."
-    raise SolveError(f"step {step} of the trace, {_in_newton(history.base_tension[step])}: {words}")
-
-
-def _in_newton(base_tension: Float[Array, "*tendons"]) -> str:
-    return ", ".join(f"{float(tension):g}" for tension in np.ravel(base_tension)) + " N"
+    raise SolveError(f"step {step} of the trace, {listed(np.asarray(history.base_tension[step]), 'force')}: {words}")
 
 
 # --- a push after it ------------------------------------------------------------------------------

@@ -80,8 +80,5 @@ def open_turns(values: Float[Array, " steps"], max_turns: int) -> tuple[Stack, T
         The stack at the end, and the turns after each step.
     """
     values = jax.lax.stop_gradient(values)
-
-    def advance(stack: Stack, given: tuple[Number, Int[Array, ""]]) -> tuple[Stack, Turns]:
-        return go_on(stack, *given)
-
-    return jax.lax.scan(advance, empty_stack(max_turns, values), (values, jnp.arange(values.shape[0])))
+    start, steps = empty_stack(max_turns, values), jnp.arange(values.shape[0])
+    return jax.lax.scan(lambda stack, given: go_on(stack, *given), start, (values, steps))
