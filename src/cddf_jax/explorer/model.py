@@ -183,7 +183,7 @@ class Exploration:
         """
         found, how = [], how_followed(body, (), self.setting.loads)
         for table in self.tables:
-            paths = None if table in self.not_followed else paths_of(table, None)
+            paths = paths_of(table, None)
             course = course_of(table, paths=paths, **how)[0] if paths else None
             rows = experiment_of(table, body, course=course, setting=self.setting)
             if isinstance(rows, Bench) and not rows.on_one_curve:
@@ -197,21 +197,9 @@ class Exploration:
         return "displacement" if pulled and all(pulled) else "base_tension"
 
     @property
-    def not_followed(self) -> list[Measurements]:
-        """Tables of base tensions with a history whose rows are drawn without it: of several tendons or loads."""
-        by_tension = [table for table in self.tables if not is_driven_by_length(table)]
-        return [table for table in by_tension if paths_of(table, None) and not self._is_exact(table)]
-
-    def _is_exact(self, table: Measurements) -> bool:
-        """Whether a history of these rows has an exact answer: one tendon without loads."""
-        loaded = self.setting.loads is not None or np.any(forces_of(table.columns, len(table))[1])
-        return self.manipulator.num_tendons == 1 and not loaded
-
-    @property
     def notes(self) -> list[str]:
         """Notes on the tables."""
         read_as = [line for table in self.tables for line in table.read_as]
-        why = "each row is drawn as an equilibrium of its own; a fit follows the order of the rows"
         beside = "driven by displacement, and the tip is drawn over base tensions; explore it alone to see it"
         driven = self.tables if self.over == "base_tension" else ()
         not_drawn = [f"{table.name}: {beside}" for table in driven if is_driven_by_length(table)]
@@ -221,7 +209,7 @@ class Exploration:
             for name, own in places.items()
             if own
         ]
-        return read_as + [f"{table.name}: {why}" for table in self.not_followed] + not_drawn + hung
+        return read_as + not_drawn + hung
 
     def fit(self, kinematics: Kinematics) -> "Fit":
         """Friction and modulus from the tables, with the manipulator of the file, on which they were measured.
