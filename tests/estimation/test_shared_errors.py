@@ -99,3 +99,27 @@ def test_inputs_without_errors_change_nothing():
         for name in plain.names:
             assert found.value[name] == pytest.approx(plain.value[name], rel=1e-6)
             np.testing.assert_allclose(found.confidence_interval[name], plain.confidence_interval[name], rtol=1e-6)
+
+
+@pytest.mark.parametrize(("slope", "result"), [(0.7, "successful"), (10.0, "the noise estimates did not settle")])
+def test_an_effect_that_jumps_with_the_estimate(slope, result):
+    """An input moves reading `one` where m < 0, else `two`: the weighted mean of both then has the other sign.
+
+    By the weights w = 1 / (1 + slope^2) it goes to and fro between 0.3 (1 - w) / (1 + w) and the opposite: by 0.2
+    standard errors for a slope of 0.7, by many for 10.
+    """
+
+    def by_input(p):
+        first = float(p["m"]) < 0
+        return {"x": {"one": np.array([[slope * first]]), "two": np.array([[slope * (not first)]])}}
+
+    data, noise = {"one": np.array([-0.3]), "two": np.array([0.3])}, {"one": 1.0, "two": 1.0}
+    inputs = InputErrors(by_input, {"x": 1.0}, {"x": 1.0})
+
+    def mean(p):
+        return {"one": p["m"][None], "two": p["m"][None]}
+
+    found = least_squares_fit(mean, {"m": 0.1}, data, noise, inputs=inputs, accuracy=0.1)
+    assert found.result.startswith(result)
+    weight = 1 / (1 + slope**2)
+    assert abs(found.value["m"]) == pytest.approx(0.3 * (1 - weight) / (1 + weight), rel=1e-6)

@@ -75,11 +75,11 @@ class Minimum(NamedTuple):
         promised = np.sum((basis.T @ outcome.residual) ** 2)
         return bool(promised < problem.noteworthy * outcome.cost or CLEARLY * promised < outcome.cost - closing)
 
-    def is_near(self, other: "Minimum") -> bool:
-        """Whether the estimates of another end differ by no more than searches need to come close to a minimum."""
+    def is_near(self, other: "Minimum", errors: float | None = None) -> bool:
+        """Whether the estimates of another end differ by less than some standard errors; `accuracy` unless stated."""
         moved = (other.outcome.parameters - self.outcome.parameters) / self.outcome.size
-        change = float(np.sum((self.outcome.jacobian @ moved) ** 2))
-        return change < self.problem.noteworthy * float(self.outcome.cost)
+        change, errors = self.outcome.jacobian @ moved, self.problem.accuracy if errors is None else errors
+        return bool(np.sum(change**2) < errors**2 / self.problem.num_data * self.outcome.cost)
 
     @property
     def misfit(self) -> tuple[float, str]:

@@ -103,19 +103,26 @@ def interrupted_at(task: FitTask, best: Minimum) -> Ending:
 
 
 def _settle_noise(task: FitTask, z: np.ndarray) -> tuple[Minimum, bool]:
-    """The minimum with the noise of its residuals, and whether the two agreed in the end."""
+    """The minimum with the noise of its residuals, and whether the two agreed in the end.
+
+    Where the model has kinks, the effect of errors of inputs may jump to and fro, and the estimates with it. Less than
+    one standard error of that is an end too.
+    """
     problem = task.problem
     found, settled, close = Minimum(problem, minimise(problem, z)), False, max(1e-4, problem.accuracy / 10)
+    ends = [found]
     for _ in range(NOISE_ROUNDS):
-        noise, before = problem.data.noise, found
+        noise = problem.data.noise
         improved, shared = estimate_noise(task.groups, found, task.inputs)
         same = _alike(problem.shared, shared)
         if same and all(map(np.array_equal, noise, improved)):  # it was known
             return found, True
         near = all(np.allclose(a, b, rtol=close, atol=0) for a, b in zip(noise, improved, strict=True))
         problem = replace(problem, data=problem.data._replace(noise=improved), shared=shared)
-        found = Minimum(problem, minimise(problem, before.outcome.z))
-        settled = near and (same or found.is_near(before))
+        found = Minimum(problem, minimise(problem, found.outcome.z))
+        returned = any(map(found.is_near, ends)) and found.is_near(ends[-1], 1.0)
+        settled = near and (same or returned)
+        ends.append(found)
         if settled or not np.all(np.isfinite(found.outcome.residual)):
             break
     return found, settled
