@@ -182,3 +182,16 @@ def test_a_bound_and_a_limit_at_one_point_share_their_multiplier():
     assert held.price(1.0, lower=first) == pytest.approx(1.0, abs=1e-9)
     assert held.price(lower=second) == pytest.approx(2.0, abs=1e-9)
     assert held.price(upper=1.0) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_search_that_creeps_along_a_limit_is_stopped_at_its_best_point():
+    """Maratos's example: (r^2 - 1) - x / 1000 outside of the circle r = 1 is least at (1, 0).
+
+    A step along the tangent leaves the circle, which costs more than it gains, so that steps stay small.
+    """
+    creeping, start = Written(lambda x: x @ x - 1 - x[0] / 1000, lambda x: [x @ x - 1]), np.array([0.6, 0.8])
+    found = minimise_constrained(creeping, start, *on_both_sides(2, -3.0, 3.0))
+    assert found.iterations < 50
+    assert not found.stationary
+    assert found.feasible
+    assert -1e-3 < found.point.objective < -0.6e-3

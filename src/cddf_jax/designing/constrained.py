@@ -4,6 +4,7 @@ The multipliers are computed here. SciPy's SLSQP returns no multipliers of bound
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ ACTIVE = 1e-5  # scaled: a limit or bound with a smaller margin is active
 UNIQUE = 1e-5  # relative: multipliers that differ by less are the same
 REFUSED = 1e3  # times the objective: the value where the function has no answer
 STALLED = 20, 1e-5  # iterations in which the best objective becomes smaller by so little, scaled: a search ends
+MOST = 9  # status of SLSQP at the largest number of iterations: its last point was only tried
 
 Vector = Float[np.ndarray, " _"]
 Matrix = Float[np.ndarray, "_ _"]
@@ -115,7 +117,7 @@ def minimise_constrained(
         max_iterations: at most.
     """
     seen = _Seen(function, np.clip(start, lower, upper))
-    with np.errstate(all="ignore"):
+    with np.errstate(all="ignore"), suppress(_StalledError):
         found = minimize(
             lambda x: seen(x).objective,
             seen.last.x,
@@ -126,12 +128,18 @@ def minimise_constrained(
                 {"type": "eq", "fun": lambda x: seen(x).equality, "jac": lambda x: seen(x).equality_slopes},
             ],
             method="SLSQP",
-            callback=seen.end_if_stalled,
+            callback=seen.after_iteration,
             options={"maxiter": max_iterations, "ftol": 1e-14},
         )
-    last = seen(np.clip(found.x, lower, upper))
-    point = last if last.usable and last.violation <= max(TOLERANCE, seen.best.violation) else seen.best
-    return LocalMinimum(point, optimality(point, lower, upper), found.nit)
+        seen.iterations = found.nit
+        last, most = seen(np.clip(found.x, lower, upper)), max(TOLERANCE, seen.best.violation)
+        if found.status != MOST and last.usable and last.violation <= most:
+            seen.best = last
+    return LocalMinimum(seen.best, optimality(seen.best, lower, upper), seen.iterations)
+
+
+class _StalledError(Exception):
+    """The best point has hardly become better in the last iterations."""
 
 
 class _Seen:
@@ -143,7 +151,8 @@ class _Seen:
     def __init__(self, function: VectorFunction, start: Vector):
         self.function = function
         self.last = self.best = function(start)
-        self.ranks: list[tuple[float, float]] = []  # of the best point after each iteration
+        self.iterations = 0
+        self.ranks: list[tuple[float, float]] = []  # of the best point after the last iterations
 
     def __call__(self, x: Vector) -> Point:
         if not np.array_equal(x, self.last.x):
@@ -155,13 +164,12 @@ class _Seen:
                 self.best = self.last
         return self.last
 
-    def end_if_stalled(self, _: Vector) -> None:
-        """End the search where the best point has hardly become better in the last iterations."""
-        self.ranks.append(_rank(self.best))
+    def after_iteration(self, _: Vector) -> None:
         count, little = STALLED
-        gained = np.subtract(self.ranks[-1 - count :][0], self.ranks[-1])
-        if len(self.ranks) > count and np.all(gained < little):
-            raise StopIteration
+        self.iterations += 1
+        self.ranks = [*self.ranks[-count:], _rank(self.best)]
+        if len(self.ranks) > count and np.all(np.ptp(self.ranks, axis=0) < little):
+            raise _StalledError
 
 
 def _rank(point: Point) -> tuple[float, float]:
