@@ -208,3 +208,21 @@ def test_one_name_is_one_thing():
     twice = {name for name, files in places.items() if len(files) > 1}
     assert twice == {"design", "fit", "plan", "reproduce", "solve", "sweep", "trace"}
     assert all(sum(room_of(file) == "cli" for file in places[name]) == 1 and len(places[name]) == 2 for name in twice)
+
+
+def test_functions_of_the_solver_are_read_at_a_glance():
+    """At most 40 lines after the docstring, and 12 names beside the arguments."""
+    scopes = ast.FunctionDef, ast.Lambda, ast.ListComp, ast.SetComp, ast.DictComp, ast.GeneratorExp
+
+    def named_in(nodes):
+        own = [node for node in nodes if not isinstance(node, scopes)]
+        names = {node.id for node in own if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
+        names |= {node.name for node in nodes if isinstance(node, ast.FunctionDef)}
+        return names.union(*(named_in([*ast.iter_child_nodes(node)]) for node in own))
+
+    for name in (name for name in FILES if room_of(name) in ("numerics", "mechanics", "statics")):
+        for function in (node for node in ast.walk(tree_of(name)) if isinstance(node, ast.FunctionDef)):
+            if body := function.body[ast.get_docstring(function) is not None :]:
+                assert (body[-1].end_lineno or 0) - body[0].lineno < 40, (name, function.name)
+                arguments = {each.arg for each in ast.walk(function.args) if isinstance(each, ast.arg)}
+                assert len(named_in(body) - arguments) <= 12, (name, function.name)

@@ -55,7 +55,7 @@ ACCURACY = 1e-2  # a step with a larger error estimate is called inaccurate
 TRIED = 3  # times the increments that are wanted: so many are tried, where some have to be cut
 LEAST_WIDTH = 1e-4  # part of a step, the least increment
 SAFETY = 2.0  # factor on the differences of the passes in the error estimate
-LEAST_ERROR = 1e-5  # the error that the stretch of stiff tendons may cause, and the law with the least elastic slip
+LEAST_ERROR = 2e-5  # the error that the stretch of stiff tendons may cause, and the law with the least elastic slip
 LEAST_SLACK = 1e-9  # of an offset; a tendon that is so much longer than wanted is slack
 LEAST_SLIP = 1e-2  # of the largest slip of an increment; a tendon that slips less rests
 

@@ -122,8 +122,8 @@ def with_smooth_ratios(
     change = direction * differs * (jnp.where(late[:, None], 1.0, 0.0) - jnp.where(beyond, 1.0, 0.0))
     ratios = pull.ratio + change
     size = jnp.maximum(jnp.abs(ratios), jnp.finfo(ratios.dtype).eps)
-    chosen = None if signs is None else jnp.where(late, signs[1], signs[0])
-    return Tensions(where_present(section, taut * left / size), ratios, places, chosen)
+    signs = None if signs is None else jnp.where(late, signs[1], signs[0])
+    return Tensions(where_present(section, taut * left / size), ratios, places, signs)
 
 
 def _where_turning_over(growth: Float[Array, "p tendons"]) -> tuple[Array, Array, Array]:

@@ -102,19 +102,14 @@ def _at_base(problem: Problem, whole: bool) -> State:
 def _along_element(problem: Problem, start: State, part: Part) -> tuple[State, State, Array]:
     """The states at the nodes and at the end of an element, and the elastic strain at the nodes."""
     spent = _onwards(start.pull.spent, part.width, spent_rate(problem.direction, part.section, part.guess.ratio))
-    pull = Pull(part.guess.ratio, spent[0])
-    tensions = tensions_along(part.section, problem.base_tension, pull, problem.rough)
-    if problem.has_kinks and not problem.geometry.has_frames:  # in space there are sharp minima in place of kinks
-        tensions = _smooth(problem, start, part, tensions, pull)
+    tensions = _tensions(problem, start, part, Pull(part.guess.ratio, spent[0]))
     strains = _strains(problem, part, tensions)
     heading, axis, moment_rate = _headings(problem, start, part, tensions, strains)
-    growth, wrap = _turned(problem, start, part, tensions, strains, moment_rate)
+    ratio, wrap = _turned(problem, start, part, tensions, strains, moment_rate)
     moment = _onwards(
         start.moment, part.width, 0.0 * _moments(problem, part.guess) if moment_rate is None else moment_rate
     )
-    position = _onwards(start.position, part.width, axis)
-    ratio = [start.ratio + problem.direction * each for each in growth]
-    rows = zip(map(Pull, ratio, spent), heading, moment, wrap, position, strict=True)
+    rows = zip(map(Pull, ratio, spent), heading, moment, wrap, _onwards(start.position, part.width, axis), strict=True)
     nodes, end = (State(pull, phi, m, None, None, theta, place) for pull, phi, m, theta, place in rows)
     return nodes, end, jax.vmap(problem.geometry.elastic)(part.section, tensions.at_nodes(strains))
 
@@ -160,8 +155,11 @@ def _turning(problem: Problem, part: Part, tensions: Tensions, strains: Array, m
     return jax.vmap(on_branch)(strains, tensions.branches, tensions.signs)
 
 
-def _smooth(problem: Problem, start: State, part: Part, tensions: Tensions, pull: Pull) -> Tensions:
-    """The tensions along an element in which tendons may turn over or become slack."""
+def _tensions(problem: Problem, start: State, part: Part, pull: Pull) -> Tensions:
+    """The tensions along an element, in which tendons may turn over or become slack."""
+    tensions = tensions_along(part.section, problem.base_tension, pull, problem.rough)
+    if not problem.has_kinks or problem.geometry.has_frames:  # in space there are sharp minima in place of kinks
+        return tensions
     strains, moment_rate = _strains(problem, part, tensions), None
     own = not problem.geometry.has_closed_strain(problem.manipulator, loaded=False)
     if own:  # a slanted tendon turns with kappa'
@@ -174,16 +172,17 @@ def _smooth(problem: Problem, start: State, part: Part, tensions: Tensions, pull
 def _turned(
     problem: Problem, start: State, part: Part, tensions: Tensions, strains: Array, moment_rate: Array | None
 ) -> tuple[tuple[Array, Array], Both]:
-    """The gains of r, over the direction, and the wrap angle where it is asked for."""
+    """r, and the wrap angle where it is asked for, at the nodes and at the end."""
     geometry, whole = problem.geometry, start.wrap_angle is not None
     turning = _turning(problem, part, tensions, strains, moment_rate)
     rates = geometry.scaled(turning, ratio_factor(part.section, tensions.ratios))
     rates = jnp.concatenate([rates, turning], axis=2) if whole else rates
     found = tensions.totals(part.width, rates, geometry.size, geometry.gains if problem.has_kinks else None)
-    if start.wrap_angle is None:
-        return found, (None, None)
-    (growth, wrap), (last, total) = (jnp.split(each, 2, axis=-1) for each in found)
-    return (growth, last), (start.wrap_angle + wrap, start.wrap_angle + total)
+    (growth, last), wrap = found, (None, None)
+    if start.wrap_angle is not None:
+        (growth, there), (last, total) = (jnp.split(each, 2, axis=-1) for each in found)
+        wrap = start.wrap_angle + there, start.wrap_angle + total
+    return (start.ratio + problem.direction * growth, start.ratio + problem.direction * last), wrap
 
 
 def _moments(problem: Problem, guess: Nodal) -> Float[Array, "p *components"]:

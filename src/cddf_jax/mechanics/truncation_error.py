@@ -1,5 +1,7 @@
 """How far the answer of a solve may be off: what the Gauss nodes of the elements miss."""
 
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -24,17 +26,15 @@ def truncation_error(problem: Problem, solution: Solution, method: Method) -> Nu
     finer = Elements.between(cut.edges, cut.order + tol.MORE_NODES)
     fine = lay_out(problem.manipulator, problem.base_tension, problem.direction, 0, problem.loads, finer)
     fine = eqx.tree_at(lambda fine: fine.base_moment, fine, problem.base_moment)
-    ends = solution.starts, solution.nodes, solution.ends
-    state = jax.tree.map(lambda a, b, c: cut.resample(a, b, c, finer.rule.nodes), *ends)
+    resample = partial(cut.resample, places=finer.rule.nodes)
+    state = jax.tree.map(resample, solution.starts, solution.nodes, solution.ends)
 
     def again(last: tuple, _: None) -> tuple[tuple, Solution]:
         found = once.finish(fine, *last)
         return (nodal(fine, found.nodes), found.nodes.strain), found
 
-    _, iterates = jax.lax.scan(
-        again, (nodal(fine, state), state.strain), length=tol.KINK_ITERATIONS if problem.has_kinks else 1
-    )
-    found = jax.tree.map(lambda x: x[-1], iterates)
+    count = tol.KINK_ITERATIONS if problem.has_kinks else 1
+    found = jax.tree.map(lambda x: x[-1], jax.lax.scan(again, (nodal(fine, state), state.strain), length=count)[1])
     if not isinstance(method, FixedPoint):  # it may have ended before it settled, which is another error
         solution = once.finish(problem, nodal(problem, solution.nodes), solution.nodes.strain)
     missed = jnp.sum(jnp.abs(_gains(problem, found) - _gains(problem, solution)), axis=0)

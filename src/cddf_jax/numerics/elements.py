@@ -54,12 +54,11 @@ def gauss_rule(order: int) -> Rule:
     roots, weights = legendre.leggauss(order)
     # values at the nodes -> Legendre coefficients
     series = legendre.legvander(roots, order - 1).T * weights * (np.arange(order)[:, None] + 0.5)
-    identity, points = np.eye(order), np.concatenate([[-1.0], roots, [1.0]])
-    barycentric = 1.0 / np.prod(np.where(identity > 0, 1.0, roots[:, None] - roots), axis=1)
-    integrals = np.stack([legendre.legval(points[1:], legendre.legint(row, lbnd=-1)) for row in identity], axis=1)
-    slopes = np.stack([legendre.legval(points, legendre.legder(row)) for row in identity], axis=1) @ series
+    points, each = np.concatenate([[-1.0], roots, [1.0]]), np.eye(order)  # each coefficient
+    barycentric = 1.0 / np.prod(np.where(each > 0, 1.0, roots[:, None] - roots), axis=1)
+    slopes = np.stack([legendre.legval(points, legendre.legder(one)) for one in each], axis=1) @ series
     step, values = np.diff(points)[:, None] / 2, legendre.legvander(points, order - 1) @ series
-    totals = integrals @ series / 2
+    totals = np.stack([legendre.legval(points[1:], legendre.legint(one, lbnd=-1)) for one in each], axis=1) @ series / 2
     gains = np.diff(totals, axis=0, prepend=0.0)
     between = points[:-1, None] + step * (legendre.leggauss(POINTS_BETWEEN)[0] + 1)
     return Rule(
@@ -245,14 +244,15 @@ def switched(
         places: in [0, 1] of the element, in increasing order.
     """
     rule, found = gauss_rule(branches.shape[1]), jax.vmap(gains)(branches)
-    curves = jax.vmap(_quartics)(branches)
     starts, step = (jnp.asarray(x, places.dtype) for x in (rule.points[:-1], rule.step))
     cuts = jnp.clip((places[:, None] - starts) / step, 0.0, 1.0)
     whole = jnp.ones_like(cuts[:1])
     first, last = jnp.concatenate([0 * whole, cuts]), jnp.concatenate([cuts, whole])
     wide = first.shape + (1,) * (branches.ndim - 2)  # the rates may be vectors
     parts = jax.vmap(lambda curve, a, b: size(_integral(curve, b) - _integral(curve, a)))
-    divided = _along(rule.step, found[0]) * parts(curves, first.reshape(wide), last.reshape(wide))
+    divided = _along(rule.step, found[0]) * parts(
+        jax.vmap(_quartics)(branches), first.reshape(wide), last.reshape(wide)
+    )
     undivided = ((first <= 0) & (last >= 1)).reshape(first.shape + (1,) * (found.ndim - 2))
     return jnp.sum(jnp.where(undivided, found, divided), axis=0)
 

@@ -132,9 +132,9 @@ def _root(step, values, root, failed, *, max_iterations):
 
 @_root.def_jvp
 def _(primals, tangents, *, max_iterations):
-    (step, values, root, failed), (direction, *_) = primals, tangents
+    step, values, root, failed = primals
     values, root = _root(step, values, root, failed, max_iterations=max_iterations)
-    pushed, push = linearised(lambda step, *at: step(*at), step, direction, values, root)
+    pushed, push = linearised(lambda step, *at: step(*at), step, tangents[0], values, root)
     slopes = _settled(push, pushed, root, max_iterations)
     if not root.size:  # in a batch JAX wants an output that is the same in all lanes to have such a tangent
         return (values, root), (slopes[0], jnp.zeros_like(root))

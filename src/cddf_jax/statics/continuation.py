@@ -100,29 +100,31 @@ def _start(body: LoadedBody, zero: Number) -> _Continuation:
 
 def _next_try(body: LoadedBody, state: _Continuation) -> _Continuation:
     """Accept the step and predict the next one, or shorten it."""
-    first, iterate = state.num_tries == 0, state.iterate
+    first = state.num_tries == 0
     reached, on_path, missed = _reached(body, state)
     turned = jnp.where(first, 0.0, largest_size(reached.values.heading - state.point.values.heading))
     accepted = decided(on_path & (missed <= tol.LARGEST_MISS) & (turned <= tol.LARGEST_TURN))
     point = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), reached, state.point)
 
-    remaining = 1.0 - point.fraction
     step = state.step * _step_factor(missed, accepted, on_path)
-    step = jnp.minimum(jnp.minimum(step, _gentle_step(point, first)), remaining)
+    step = jnp.minimum(jnp.minimum(step, _gentle_step(point, first)), 1.0 - point.fraction)
     tries, arrived = state.num_tries + 1.0, accepted & (point.fraction >= 1.0)
     ended = ~arrived & ((~accepted & ((step < tol.LEAST_STEP) | first)) | (tries >= tol.MAX_TRIES))
-    predicted = _predict(point, jnp.where(ended | arrived, 0.0, step), iterate)
-    here = {"near": arrived & iterate.near, "settled": arrived & iterate.settled}  # at the end it is the iterate itself
+    predicted = _predict(point, jnp.where(ended | arrived, 0.0, step), state.iterate)
     return _Continuation(
         point,
-        predicted._replace(**here, change=jnp.where(arrived, iterate.change, 0.0)),
+        predicted._replace(  # at the end it is the iterate itself
+            near=arrived & state.iterate.near,
+            settled=arrived & state.iterate.settled,
+            change=jnp.where(arrived, state.iterate.change, 0.0),
+        ),
         step,
-        fraction=jnp.where(step >= remaining, 1.0, point.fraction + step),
+        fraction=jnp.where(step >= 1.0 - point.fraction, 1.0, point.fraction + step),
         num_steps=state.num_steps + jnp.where(accepted & ~first, 1.0, 0.0),
         num_tries=tries,
         arrived=arrived,
         ended=ended,
-        resolved=iterate.sane & (accepted | ~first),
+        resolved=state.iterate.sane & (accepted | ~first),
     )
 
 
@@ -134,14 +136,13 @@ def _reached(body: LoadedBody, state: _Continuation) -> tuple[_Point, Flag, Numb
     slope = slope._replace(moment=follows)
     half = jnp.where(first, 0.0, 0.5 / jnp.where(first, 1.0, state.fraction - old.fraction))
     bend = jax.tree.map(lambda new, before: half * (new - before), slope, old.slope)
-    stable = body.is_stable(iterate)
-    new = _Point(state.fraction, iterate.values, slope, bend, iterate.strain, stable)
+    new = _Point(state.fraction, iterate.values, slope, bend, iterate.strain, body.is_stable(iterate))
     step = state.fraction - old.fraction
     expected = step * (old.slope.heading + step * old.bend.heading)
     missed = largest_size(iterate.values.heading - old.values.heading - expected)
-    stays = first | (stable == old.stable) | (state.step <= tol.CRITICAL_STEP)
-    finite = jnp.isfinite(sum(jnp.sum(x) for x in jax.tree.leaves(slope)))
-    return new, iterate.near & finite & stays, jnp.where(first, 0.0, missed)
+    stays = first | (new.stable == old.stable) | (state.step <= tol.CRITICAL_STEP)
+    stays &= jnp.isfinite(sum(jnp.sum(x) for x in jax.tree.leaves(slope)))
+    return new, iterate.near & stays, jnp.where(first, 0.0, missed)
 
 
 def _step_factor(missed: Number, accepted: Flag, on_path: Flag) -> Number:

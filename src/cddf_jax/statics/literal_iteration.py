@@ -182,9 +182,9 @@ def iteration_history(
     curvature = jnp.concatenate([start[None], later])
     position, tip_tension = jax.vmap(partial(_observed, problem))(curvature)
     tip_error = jnp.sqrt(jnp.sum(jnp.diff(position[:, -1], axis=0) ** 2, axis=-1))
-    below, edges = tip_error < tip_tolerance, problem.elements.edges
+    below = tip_error < tip_tolerance
     return IterationHistory(
-        arc_length=line_up(edges[0], problem.elements.nodes, edges[-1]),
+        arc_length=line_up(problem.elements.edges[0], problem.elements.nodes, problem.elements.edges[-1]),
         curvature=curvature.reshape(max_updates + 1, -1),
         position=position,
         tip_tension=tip_tension,

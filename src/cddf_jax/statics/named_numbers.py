@@ -78,13 +78,16 @@ class Case(eqx.Module):
         windings = {tip: others.pop(name) for name in tuple(others) if (tip := tip_of_winding(name))}
         if twice := [tip for tip in windings if tip in others]:
             raise InputError(f"{twice[0]} follows from base and winding; leave out one of tip and winding")
-        leaves, places, structure = case._flat()
-        for name, number in others.items():
-            leaf, index = _place(name, leaves, places)
-            leaves[leaf] = jnp.asarray(leaves[leaf]).at[index].set(number) if index else number
-        case = jax.tree.unflatten(structure, leaves)
+        case = case._with_leaves(others)
         tips = {tip: case.number(_base_of(tip)) + winding for tip, winding in windings.items()}
         return case.with_numbers(tips) if tips else case
+
+    def _with_leaves(self, numbers: Mapping[str, Any]) -> "Case":
+        leaves, places, structure = self._flat()
+        for name, number in numbers.items():
+            leaf, index = _place(name, leaves, places)
+            leaves[leaf] = jnp.asarray(leaves[leaf]).at[index].set(number) if index else number
+        return jax.tree.unflatten(structure, leaves)
 
     @property
     def numbers(self) -> dict[str, Any]:

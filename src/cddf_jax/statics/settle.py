@@ -109,8 +109,7 @@ def _loaded(setup: Setup, base_tension: PerTendon) -> Settled:
     start = _nothing_to_find(setup, base_tension)
     rough, body = (LoadedBody(setup.lay_out(base_tension, each), setup.iteration) for each in (True, False))
     path, end = follow_loads(rough, start.num_iterations)
-    state = state_at_nodes(rough.problem, end.values.nodal, end.strain)
-    travel = travel_under_tension(rough.problem, state.pull, rough.travel_rate(end, path.fraction))
+    pull = state_at_nodes(rough.problem, end.values.nodal, end.strain).pull
     found, num_iterations = rough.refine(end, body, path.fraction)
     path = path._replace(
         base_moment=jnp.where(path.converged, found.moment, path.base_moment),
@@ -118,12 +117,12 @@ def _loaded(setup: Setup, base_tension: PerTendon) -> Settled:
         resolved=path.resolved & (found.settled | ~path.converged),
     )
     first = unbent(body.problem)  # for a lane of a batch that found none
-    unmoved, moved = (first, unstrained(setup.manipulator, True, first.ratio)), (found.nodal, found.strain)
-    values, strain = jax.tree.map(partial(jnp.where, path.converged), moved, unmoved)
+    unmoved = first, unstrained(setup.manipulator, True, first.ratio)
+    values, strain = jax.tree.map(partial(jnp.where, path.converged), (found.nodal, found.strain), unmoved)
     return Settled(
         direction=start.direction,
         load_path=path,
-        travel=travel,
+        travel=travel_under_tension(rough.problem, pull, rough.travel_rate(end, path.fraction)),
         values=values,
         strain=strain,
         num_iterations=num_iterations,

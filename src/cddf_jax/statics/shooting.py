@@ -126,10 +126,8 @@ class LoadedBody(NamedTuple):
         moved = jax.tree.map(lambda x, slope: x + along_moment(slope, step), new.values, new.slopes)
         sane = decided(jnp.isfinite(magnitude(newton)) & jnp.isfinite(solution.residual) & ~solution.locked)
         changed = relative_size(new.residual_slopes - before.residual_slopes, new.residual_slopes)
-        exact = jnp.maximum(off, changed) <= 2 * _round_off(off) ** 0.5
-        settled = decided(sane & solution.converged & exact)
-        rough = jnp.where(fraction == 0, tol.ROUGH_AT_START, tol.ROUGH)
-        near = sane & self._is_near(before, new, jnp.maximum(off, solution.residual), rough)
+        settled = decided(sane & solution.converged & (jnp.maximum(off, changed) <= 2 * _round_off(off) ** 0.5))
+        near = sane & self._is_near(before, new, jnp.maximum(off, solution.residual), fraction)
         return Iterate(
             values=moved._replace(moment=moment + step),
             slopes=new.slopes,
@@ -157,17 +155,14 @@ class LoadedBody(NamedTuple):
             at = before.values.nodal, moment, fraction, one
             return jax.jvp(flow, at, tangents, has_aux=True)
 
-        count = max(moment.size, 1)
-        zero, second = zero_as(moment, fraction), jnp.where(by_loads, one, 0.0)
-        units, last = (jnp.asarray(x, one.dtype) for x in (np.eye(count + 1, count), np.eye(count + 1)[-1]))
-        units = zero + units.reshape(count + 1, *moment.shape)
-        seeds = before.slopes.nodal, units, second * last, (one - second) * last
+        seeds = _directions(before, zero_as(moment, fraction), by_loads)
         (values, residual), (slopes, steepness), solution = jax.vmap(push, out_axes=(None, 0, None))(*seeds)
         return _March(values._replace(moment=moment), residual, slopes, steepness, solution)
 
-    def _is_near(self, before: Iterate, new: _March, off: Number, rough: Number) -> Flag:
+    def _is_near(self, before: Iterate, new: _March, off: Number, fraction: Number) -> Flag:
         """Whether values, slopes and stability are known well enough to predict the next step."""
         slope = self.problem.geometry.steepness(new.residual_slopes[:-1])
+        rough = jnp.where(fraction == 0, tol.ROUGH_AT_START, tol.ROUGH)
         enough = rough * jnp.minimum(1.0, slope)  # the sign of the slope must be known
         drift = new.residual_slopes - before.residual_slopes
         steady = magnitude(drift[:-1]) <= tol.STEADY * slope
@@ -246,6 +241,14 @@ class LoadedBody(NamedTuple):
         follows = self.moment_that_follows(iterate.residual_slopes)
         moved = jax.tree.map(lambda slopes: slopes[-1] + along_moment(slopes, follows), iterate.slopes.nodal)
         return jax.jvp(displacement, (values.nodal, values.moment, one), (moved, follows, one))[1]
+
+
+def _directions(before: Iterate, zero: Number, by_loads: Flag) -> tuple[Nodal, Array, Array, Array]:
+    """Of the slopes, for `flow`: along each component of the moment, and last by the loads or by all base tensions."""
+    moment, second = before.values.moment, jnp.where(by_loads, jnp.ones_like(before.change), 0.0)
+    count = max(moment.size, 1)
+    units, last = (jnp.asarray(x, second.dtype) for x in (np.eye(count + 1, count), np.eye(count + 1)[-1]))
+    return before.slopes.nodal, zero + units.reshape(count + 1, *moment.shape), second * last, (1.0 - second) * last
 
 
 def headings(problem: Problem, solution: Solution) -> Array:

@@ -61,9 +61,9 @@ class _Aim(NamedTuple):
         settled = settle(self.setup, base_tension)
         system = System(self.setup, base_tension, settled, self.misses, self.unknown, self.whole)
         (_, rows), push, there = jax.linearize(system.improved, settled.values, system.root, has_aux=True)
-        slopes = slopes_by_unknowns(push, settled.values, system.root)[1].T
+        jacobian = slopes_by_unknowns(push, settled.values, system.root)[1].T
         moments = 0 if self.setup.loads is None else geometry_of(self.setup.manipulator).no_moment.size
-        residual, jacobian = rows[: rows.size - moments], _at_constant_moment(slopes, moments)
+        residual, jacobian = rows[: rows.size - moments], _at_constant_moment(jacobian, moments)
         # one more march of a body that has settled may change more than the tolerance
         fine = there[1].converged if settled.values is None else settled.load_path.converged
         fine = fine & jnp.all(inside_of_bend(*there) < 1.0)
@@ -213,11 +213,11 @@ def _judge(aim: _Aim, held: Flags, state: _Search) -> tuple[_Search, Number]:
     trial, evaluations = aim.evaluate(state.next), state.num_evaluations + 1.0
     better = _cost(aim, trial, state.slack) < _cost(aim, state.best, state.slack)
     best = jax.tree.map(lambda new, old: jnp.where(better, new, old), trial, state.best)
-    easier = jnp.where(state.improved, state.damping / 3.0, state.damping)
-    damping = jnp.where(better, easier, jnp.maximum(4.0 * state.damping, 1.0))
+    damping = jnp.where(state.improved, state.damping / 3.0, state.damping)
+    damping = jnp.where(better, damping, jnp.maximum(4.0 * state.damping, 1.0))
     nowhere = ~jnp.isfinite(best.cost)
-    others = jnp.asarray((*tol.OTHER_TENSIONS, 0.0), damping.dtype)
-    elsewhere = others[jnp.minimum(evaluations.astype(int) - 1, len(tol.OTHER_TENSIONS))]
+    elsewhere = jnp.asarray((*tol.OTHER_TENSIONS, 0.0), damping.dtype)
+    elsewhere = elsewhere[jnp.minimum(evaluations.astype(int) - 1, len(tol.OTHER_TENSIONS))]
     step, slack, damping, rests = _next_step(aim, held, best, damping, state.slack)
     following = jnp.where(nowhere, jnp.clip(elsewhere, aim.least, aim.most), step)
     done = jnp.where(nowhere, evaluations > len(tol.OTHER_TENSIONS), rests)
@@ -275,9 +275,15 @@ def _step(aim: _Aim, held: Flags, best: _TensionTrial, damping: Number, slack: F
 def _reach_place(setup: Setup, given: PerTendon, target: TipPosition) -> tuple[Balance, Found]:
     """The equilibrium whose tip is at a position, or nearest to it, with the least sum of tensions."""
     frozen_setup, frozen_given, frozen = without_derivative((setup, given, target))
-    scale, misses = bending_tension(frozen_setup), Partial(frozen.misses, frozen_setup)
+    scale = bending_tension(frozen_setup)
     aim = _Aim(
-        frozen_setup, frozen_given, tuple(range(given.size)), misses, scale, *frozen.limits(scale, given), whole=True
+        frozen_setup,
+        frozen_given,
+        tuple(range(given.size)),
+        Partial(frozen.misses, frozen_setup),
+        scale,
+        *frozen.limits(scale, given),
+        whole=True,
     )
     best = _least_total(aim, frozen)
     jacobian = jnp.where(jnp.isfinite(best.jacobian), best.jacobian, 0.0)
@@ -345,8 +351,8 @@ def _least_total(aim: _Aim, target: TipPosition) -> _TensionTrial:
     towards = jnp.clip(tol.FIRST_TENSION * target.on_the_side(aim.setup), aim.least, aim.most) + zero
 
     def next_round(state: _Rounds) -> tuple[_Rounds, Number]:
-        found, _ = _levenberg_marquardt(aim, nothing, state.start, state.held)
-        best, good = _better(aim.setup, found, state.best)
+        best = _levenberg_marquardt(aim, nothing, state.start, state.held)[0]
+        best, good = _better(aim.setup, best, state.best)
         longest = jnp.where(state.num_rounds <= tol.OTHER_SEARCHES, jnp.inf, jnp.where(good, 2.0, 0.25) * state.length)
         start, length, gain = _gradient_projection(aim, best, longest)
         fine = (best.cost <= _tolerance(zero) ** 2) & (_num_against(aim.setup, best) == 0)
