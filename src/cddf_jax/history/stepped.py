@@ -5,6 +5,7 @@ closed form. So each step of the path, which is straight, is divided into increm
 followed. Two more passes, with half as many elements and with half as many increments, estimate the error.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -142,58 +143,61 @@ def _followed(
     """
     zero = zero_as(manipulator, path, rough)  # under shard_map all numbers vary over the devices, or none
     grid = varying_as(cut_into_elements(manipulator, kind.num_elements, _last(path.loads), rough.elements), zero)
-    resting = path.resting if start is None else None
     given = varying_as(jax.vmap(partial(_given, grid))(path.tension, path.goal, path.loads), zero)
-    start = at_rest(grid) if start is None else start
-    if path.loads is not None and start.given.force is None:
-        start = under_no_loads(grid, start)
-    start = varying_as(start, zero)
-    least = (1.0 + rough.increments) / kind.num_increments + 0.0 * start.work  # two as one
-
-    def advance(goals: tuple[Goal, ...], instant: Instant, to: Given) -> tuple[Instant, Instant]:
-        before, driven = instant.given, tendons_of(goals)
-
-        def part(so_far: _SoFar, _: None) -> tuple[_SoFar, None]:
-            onto = jnp.minimum(so_far.done + so_far.width, 1.0)
-            here = jax.tree.map(lambda a, b: a + onto * (b - a), before, to)
-            over = (so_far.done >= 1.0) | (so_far.width < LEAST_WIDTH) | ~so_far.instant.body.converged
-
-            def onwards(so_far: _SoFar) -> _SoFar:
-                new = moved(grid, goals, so_far.instant, here)
-                cut = _SoFar(so_far.instant, so_far.done, so_far.width / 4)
-                went = _SoFar(new, onto, jnp.minimum(2 * so_far.width, least))
-                return jax.tree.map(partial(jnp.where, new.body.converged), went, cut)
-
-            return jax.lax.cond(over, lambda so_far: so_far, onwards, so_far), None
-
-        none = 0.0 * instant.work
-        first = _SoFar(instant, none, none + least)
-        # in reverse mode all but the unknowns is computed again: a twentieth of the memory, and less to compile
-        kept = jax.checkpoint_policies.save_only_these_names(FOUND)
-        increment = jax.checkpoint(part, prevent_cse=False, policy=kept)
-        end = jax.lax.scan(increment, first, None, TRIED * kind.num_increments)[0]
-        nodes, converged = end.instant.body.nodes, end.instant.body.converged & (end.done >= 1.0)
-        instant = end.instant._replace(body=end.instant.body._replace(converged=converged), given=to)
-        tension = to.base_tension.at[driven].set(nodes.tension[0, driven])  # as it was found
-        return instant, instant._replace(given=to._replace(base_tension=tension))
-
-    if resting is not None:
-        none = jnp.zeros_like(path.tension[0])
-        first = varying_as(_given(grid, none, none, resting), zero)
-        free = start._replace(body=start.body._replace(held=None))
-        start = without_friction(grid, advance((), free, first)[0])
+    least = (1.0 + rough.increments) / kind.num_increments + zero  # two as one
+    advance = partial(_advanced, grid, TRIED * kind.num_increments, least)
+    start = _before_first(grid, path, start, advance, zero)
     goal = start.given.goal
     for each in kind.driven:
         goal = goal.at[each.tendon].set(grid.reading(start.body.nodes, each))
     start = start._replace(given=start.given._replace(goal=goal))
     instants = jax.lax.scan(partial(advance, kind.driven), start, given)[1]
-    tip = jax.vmap(partial(tip_of, grid))(instants)
-    return (
-        instants,
-        tip,
-        fronts_of(grid, instants.body.share, instants.slid),
-        jax.vmap(partial(crosses, grid))(instants),
-    )
+    fronts = fronts_of(grid, instants.body.share, instants.slid)
+    return instants, jax.vmap(partial(tip_of, grid))(instants), fronts, jax.vmap(partial(crosses, grid))(instants)
+
+
+def _before_first(grid: Grid, path: Path, start: Instant | None, advance: Callable, zero: Number) -> Instant:
+    """The instant before the first step: `start`, or rest, where loads may act already."""
+    resting = path.resting if start is None else None
+    start = at_rest(grid) if start is None else start
+    if path.loads is not None and start.given.force is None:
+        start = under_no_loads(grid, start)
+    start = varying_as(start, zero)
+    if resting is None:
+        return start
+    none = jnp.zeros_like(path.tension[0])
+    first = varying_as(_given(grid, none, none, resting), zero)
+    free = start._replace(body=start.body._replace(held=None))
+    return without_friction(grid, advance((), free, first)[0])
+
+
+def _advanced(
+    grid: Grid, tries: int, widest: Number, goals: tuple[Goal, ...], instant: Instant, to: Given
+) -> tuple[Instant, Instant]:
+    """The instant after a step, for the next step and for the results; an increment that does not settle is cut."""
+    before, driven = instant.given, tendons_of(goals)
+
+    def part(so_far: _SoFar, _: None) -> tuple[_SoFar, None]:
+        onto = jnp.minimum(so_far.done + so_far.width, 1.0)
+        here = jax.tree.map(lambda a, b: a + onto * (b - a), before, to)
+        over = (so_far.done >= 1.0) | (so_far.width < LEAST_WIDTH) | ~so_far.instant.body.converged
+
+        def onwards(so_far: _SoFar) -> _SoFar:
+            new = moved(grid, goals, so_far.instant, here)
+            cut = _SoFar(so_far.instant, so_far.done, so_far.width / 4)
+            went = _SoFar(new, onto, jnp.minimum(2 * so_far.width, widest))
+            return jax.tree.map(partial(jnp.where, new.body.converged), went, cut)
+
+        return jax.lax.cond(over, lambda so_far: so_far, onwards, so_far), None
+
+    none = 0.0 * instant.work
+    # in reverse mode all but the unknowns is computed again: a twentieth of the memory, and less to compile
+    increment = jax.checkpoint(part, prevent_cse=False, policy=jax.checkpoint_policies.save_only_these_names(FOUND))
+    end = jax.lax.scan(increment, _SoFar(instant, none, none + widest), None, tries)[0]
+    body = end.instant.body._replace(converged=end.instant.body.converged & (end.done >= 1.0))
+    instant = end.instant._replace(body=body, given=to)
+    tension = to.base_tension.at[driven].set(body.nodes.tension[0, driven])  # as it was found
+    return instant, instant._replace(given=to._replace(base_tension=tension))
 
 
 def _given(grid: Grid, tension: PerTendon, goal: PerTendon, loads: Loads | None) -> Given:
