@@ -15,7 +15,8 @@ TOLERANCE = 1e-6  # scaled: of limits, and of the first-order optimality
 ACTIVE = 1e-5  # scaled: a limit or bound with a smaller margin is active
 UNIQUE = 1e-5  # relative: multipliers that differ by less are the same
 REFUSED = 1e3  # times the objective: the value where the function has no answer
-STALLED = 20, 1e-5  # iterations in which the best objective becomes smaller by so little, scaled: a search ends
+STALLED = 20  # iterations that hardly make the best point better: a search ends
+LITTLE = 1e-5  # of the objective, scaled: a smaller gain is hardly one
 MOST = 9  # status of SLSQP at the largest number of iterations: its last point was only tried
 
 Vector = Float[np.ndarray, " _"]
@@ -165,10 +166,9 @@ class _Seen:
         return self.last
 
     def after_iteration(self, _: Vector) -> None:
-        count, little = STALLED
         self.iterations += 1
-        self.ranks = [*self.ranks[-count:], _rank(self.best)]
-        if len(self.ranks) > count and np.all(np.ptp(self.ranks, axis=0) < little):
+        self.ranks = [*self.ranks[-STALLED:], _rank(self.best)]
+        if len(self.ranks) > STALLED and np.all(np.ptp(self.ranks, axis=0) < LITTLE):
             raise _StalledError
 
 

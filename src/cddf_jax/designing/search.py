@@ -10,7 +10,7 @@ from ..progress import each, stage
 from ..statics.status import Status
 from .constrained import (
     ACTIVE,
-    STALLED,
+    LITTLE,
     TOLERANCE,
     LocalMinimum,
     Point,
@@ -144,7 +144,7 @@ class DesignSearch:
                     point, blocking = problem(x), self._blocking(problem, least)
                     local = local._replace(point=point, optimality=optimality(point, *self.bounds))
             violation, places = broken_between(problem, local)
-            ended = local.iterations >= self.max_iterations or local.point.objective > before - STALLED[1]
+            ended = local.iterations >= self.max_iterations or local.point.objective > before - LITTLE
             done = violation <= TOLERANCE and (local.stationary or ended)
             if done or not local.feasible or looks == LOOKS:
                 return SearchResult(local, problem, violation, blocking)
