@@ -158,7 +158,7 @@ def test_a_force_out_of_the_plane_is_that_of_the_table():
 
 @pytest.mark.slow
 def test_the_order_of_rows_is_followed(three):
-    """By `trace`, with more increments; each row on its own would bend by 0.01 rad less after the release."""
+    """By `trace`, with more increments; each row on its own would bend by more than 0.01 rad less after the release."""
     pulls = np.array([[10.0, 2.0, 2.0], [20.0, 2.0, 2.0], [10.0, 2.0, 2.0]])
     tension = {f"base_tension{end}": pulls[:, i] for i, end in enumerate(("", "_2", "_3"))}
     table = Measurements.from_columns("loop", **tension, tip_angle=[0.1, 0.2, 0.15], step=[1, 2, 3])

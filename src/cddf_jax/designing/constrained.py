@@ -17,7 +17,7 @@ UNIQUE = 1e-5  # relative: multipliers that differ by less are the same
 REFUSED = 1e3  # times the objective: the value where the function has no answer
 STALLED = 20  # iterations that hardly make the best point better: a search ends
 LITTLE = 1e-5  # of the objective, scaled: a smaller gain is hardly one
-MOST = 9  # status of SLSQP at the largest number of iterations: its last point was only tried
+OUT_OF_STEPS = 9  # status of SLSQP at the largest number of iterations: its last point was only tried
 
 Vector = Float[np.ndarray, " _"]
 Matrix = Float[np.ndarray, "_ _"]
@@ -134,7 +134,7 @@ def minimise_constrained(
         )
         seen.iterations = found.nit
         last, most = seen(np.clip(found.x, lower, upper)), max(TOLERANCE, seen.best.violation)
-        if found.status != MOST and last.usable and last.violation <= most:
+        if found.status != OUT_OF_STEPS and last.usable and last.violation <= most:
             seen.best = last
     return LocalMinimum(seen.best, optimality(seen.best, lower, upper), seen.iterations)
 
@@ -166,6 +166,7 @@ class _Seen:
         return self.last
 
     def after_iteration(self, _: Vector) -> None:
+        """Raise `_StalledError` where the last iterations hardly made the best point better."""
         self.iterations += 1
         self.ranks = [*self.ranks[-STALLED:], _rank(self.best)]
         if len(self.ranks) > STALLED and np.all(np.ptp(self.ranks, axis=0) < LITTLE):

@@ -105,8 +105,8 @@ def interrupted_at(task: FitTask, best: Minimum) -> Ending:
 def _settle_noise(task: FitTask, z: np.ndarray) -> tuple[Minimum, bool]:
     """The minimum with the noise of its residuals, and whether the two agreed in the end.
 
-    Where the model has kinks, the effect of errors of inputs may jump to and fro, and the estimates with it. Less than
-    one standard error of that is an end too.
+    Where the model has kinks, the estimates may jump to and fro with the effect of errors of inputs. Where they come
+    back to an earlier place, and the last jump is less than one standard error, the search ends.
     """
     problem = task.problem
     found, settled, close = Minimum(problem, minimise(problem, z)), False, max(1e-4, problem.accuracy / 10)

@@ -61,9 +61,9 @@ class _Aim(NamedTuple):
         settled = settle(self.setup, base_tension)
         system = System(self.setup, base_tension, settled, self.misses, self.unknown, self.whole)
         (_, rows), push, there = jax.linearize(system.improved, settled.values, system.root, has_aux=True)
-        jacobian = slopes_by_unknowns(push, settled.values, system.root)[1].T
         moments = 0 if self.setup.loads is None else geometry_of(self.setup.manipulator).no_moment.size
-        residual, jacobian = rows[: rows.size - moments], _at_constant_moment(jacobian, moments)
+        residual = rows[: rows.size - moments]
+        jacobian = _at_constant_moment(slopes_by_unknowns(push, settled.values, system.root)[1].T, moments)
         # one more march of a body that has settled may change more than the tolerance
         fine = there[1].converged if settled.values is None else settled.load_path.converged
         fine = fine & jnp.all(inside_of_bend(*there) < 1.0)
@@ -213,15 +213,20 @@ def _judge(aim: _Aim, held: Flags, state: _Search) -> tuple[_Search, Number]:
     trial, evaluations = aim.evaluate(state.next), state.num_evaluations + 1.0
     better = _cost(aim, trial, state.slack) < _cost(aim, state.best, state.slack)
     best = jax.tree.map(lambda new, old: jnp.where(better, new, old), trial, state.best)
-    damping = jnp.where(state.improved, state.damping / 3.0, state.damping)
-    damping = jnp.where(better, damping, jnp.maximum(4.0 * state.damping, 1.0))
+    easier = jnp.where(state.improved, state.damping / 3.0, state.damping)
+    damping = jnp.where(better, easier, jnp.maximum(4.0 * state.damping, 1.0))
     nowhere = ~jnp.isfinite(best.cost)
-    elsewhere = jnp.asarray((*tol.OTHER_TENSIONS, 0.0), damping.dtype)
-    elsewhere = elsewhere[jnp.minimum(evaluations.astype(int) - 1, len(tol.OTHER_TENSIONS))]
     step, slack, damping, rests = _next_step(aim, held, best, damping, state.slack)
-    following = jnp.where(nowhere, jnp.clip(elsewhere, aim.least, aim.most), step)
+    following = jnp.where(nowhere, _elsewhere(aim, evaluations), step)
     done = jnp.where(nowhere, evaluations > len(tol.OTHER_TENSIONS), rests)
     return _Search(best, following, damping, evaluations, better, slack), jnp.where(done, 0.0 * damping, 1.0)
+
+
+def _elsewhere(aim: _Aim, evaluations: Number) -> Tensions:
+    """Other tensions to start from, where there was no equilibrium yet."""
+    others = jnp.asarray((*tol.OTHER_TENSIONS, 0.0), evaluations.dtype)
+    other = others[jnp.minimum(evaluations.astype(int) - 1, len(tol.OTHER_TENSIONS))]
+    return jnp.clip(other, aim.least, aim.most)
 
 
 def _next_step(
@@ -351,8 +356,7 @@ def _least_total(aim: _Aim, target: TipPosition) -> _TensionTrial:
     towards = jnp.clip(tol.FIRST_TENSION * target.on_the_side(aim.setup), aim.least, aim.most) + zero
 
     def next_round(state: _Rounds) -> tuple[_Rounds, Number]:
-        best = _levenberg_marquardt(aim, nothing, state.start, state.held)[0]
-        best, good = _better(aim.setup, best, state.best)
+        best, good = _better(aim.setup, _levenberg_marquardt(aim, nothing, state.start, state.held)[0], state.best)
         longest = jnp.where(state.num_rounds <= tol.OTHER_SEARCHES, jnp.inf, jnp.where(good, 2.0, 0.25) * state.length)
         start, length, gain = _gradient_projection(aim, best, longest)
         fine = (best.cost <= _tolerance(zero) ** 2) & (_num_against(aim.setup, best) == 0)
