@@ -167,6 +167,19 @@ def test_truth_outside_the_bounds(bound, start, slope, active):
     assert fit.success, fit.result
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_an_interval_is_longer_where_the_sum_of_squares_rises_slowly(sign):
+    """Likelihood of a square: an interval ends where b^2 is 1 +- 1.96 noise; by its curvature at 1 +- 0.98 noise."""
+    reach = stats.norm.ppf(0.975) * 0.25
+    bounds = {"b": (0.0, None) if sign > 0 else (None, 0.0)}
+    fit = least_squares_fit(lambda p: p["b"] ** 2 * jnp.ones(1), {"b": 0.9 * sign}, np.ones(1), 0.25, bounds)
+    assert fit.status["b"] == "identified"
+    assert fit.standard_error["b"] == pytest.approx(0.125, rel=1e-6)
+    # towards 0 the square changes less and less; away from 0 it changes more, and the end by the curvature is kept
+    inner, outer = sorted(fit.confidence_interval["b"], key=abs)
+    assert (inner, outer) == pytest.approx((sign * np.sqrt(1 - reach), sign * (1 + reach / 2)), rel=1e-4)
+
+
 def test_the_model_is_never_asked_beyond_a_bound():
     """The square root has no derivative at 0 and no value below."""
     data = np.sqrt(0.01) * X + SIGMA * np.random.default_rng(3).normal(size=X.size)

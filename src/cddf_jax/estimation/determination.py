@@ -77,13 +77,13 @@ def determine(evidence: Evidence) -> Determination:
     value, size, spectrum = evidence.value, evidence.size, evidence.spectrum
     rank = len(spectrum.root)
     reach = evidence.uncertainty(np.eye(len(names)))
-    error, half_width = reach.standard_error, reach.half_width
+    error = reach.standard_error
+    low, high = evidence.interval(reach)
 
-    status = _statuses(evidence, reach)
+    status = _statuses(evidence, error, low, high)
     lost = np.array([word == NOT_IDENTIFIED for word in status])
     additive = ~np.isfinite(lower) & (evidence.space.least_size > 0)  # errors and turns, which may be 0
     open_ended = lost | np.array([word == AT_BOUND for word in status])
-    low, high = value - half_width, value + half_width
     limit = np.minimum(high, upper)
     low, high = np.where(open_ended, lower, low), np.where(open_ended, upper, high)
     high[list(evidence.bounded_above)] = limit[list(evidence.bounded_above)]
@@ -111,21 +111,21 @@ def determine(evidence: Evidence) -> Determination:
     )
 
 
-def _statuses(evidence: Evidence, reach: Uncertainty) -> list[str]:
+def _statuses(evidence: Evidence, error: np.ndarray, low: np.ndarray, high: np.ndarray) -> list[str]:
     """The status of each parameter.
 
     Identified means: the 95 % interval closes inside the bounds, the relative standard error is below 0.5, and the fit
     did not fail.
     """
-    space, value, error, half_width = evidence.space, evidence.value, reach.standard_error, reach.half_width
+    space = evidence.space
     # a parameter without a lower bound may be 0: its scale counts as its size where that is larger
     scale = np.where(np.isfinite(space.lower), 0.0, space.scale)
     known = error < LARGEST_RELATIVE_ERROR * np.maximum(evidence.size, scale)
-    closed = (value - half_width > space.lower) & (value + half_width < space.upper)
+    closed = (low > space.lower) & (high < space.upper)
     data_error = evidence.spectrum.relative_error * evidence.size
     if evidence.prior_rows:
         data_error = evidence.of(evidence.rows).spectrum.relative_error * evidence.size
-    of_prior = np.full(len(value), np.nan)  # the size of a parameter over the standard deviation of its prior
+    of_prior = np.full(len(error), np.nan)  # the size of a parameter over the standard deviation of its prior
     for i, row in evidence.prior_rows.items():
         of_prior[i] = np.abs(row[0, i])
     # the data alone do not determine it, and with the prior its standard error is that of the prior

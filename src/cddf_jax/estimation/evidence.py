@@ -105,6 +105,7 @@ class Evidence:
     products: bool = True  # whether combinations of unidentified parameters may be written as products of powers
     open_profile: tuple[int, ...] = ()  # parameters that can move far while the sum of squares hardly rises
     bounded_above: tuple[int, ...] = ()  # parameters at the lower bound, with an upper 95 % limit
+    ends: np.ndarray | None = None  # (parameters, 2), of 95 % intervals below and above, in half-widths; None: all 1
     random: tuple[int, ...] = ()  # random effects: draws about 0, with a standard deviation that was estimated
     kink: int | None = None  # the parameter that lies at a kink of the model
     failed: bool = False  # whether the fit failed, so that nothing is identified
@@ -144,6 +145,7 @@ class Evidence:
             noise_slopes={name: slopes[kept[name]] for name, slopes in self.noise_slopes.items()},
             open_profile=(),
             bounded_above=(),
+            ends=None,
         )
 
     @property
@@ -196,6 +198,12 @@ class Evidence:
             np.where(uncertain > TINY, np.maximum(2 / np.maximum(uncertain, TINY), 1.0), np.inf),
             np.maximum(np.einsum("qr,rs,qs->q", unit, noise.growth, unit), 0.0),
         )
+
+    def interval(self, reach: Uncertainty) -> tuple[np.ndarray, np.ndarray]:
+        """Both ends of the 95 % intervals of the parameters, of which `reach` is the uncertainty."""
+        ends = np.ones((len(self.value), 2)) if self.ends is None else self.ends
+        below, above = ends.T * reach.half_width
+        return self.value - below, self.value + above
 
     @cached_property
     def _estimated_noise(self) -> EstimatedNoise:

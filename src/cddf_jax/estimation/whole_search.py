@@ -4,7 +4,6 @@ The curvature at a minimum may suggest too much. So the search looks far along t
 """
 
 import itertools
-from collections.abc import Iterable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -35,6 +34,7 @@ NOISE_ROUNDS = 50
 NOTEWORTHY_FALL = 0.01  # of the sum of squares beside the minimum
 CLOSING_RISE = 2.0  # of the sum of squares, times that at the end of a 95 % interval
 EXPECTED_PART = 0.5  # of the rise that the curvature predicts: with less the valley is flatter than it seems
+STRAIGHT = 0.75  # of the same: with less the end of an interval is moved to where the sum of squares has risen enough
 MOSTLY_LOST = 0.7  # length of a direction within the parameters that are not identified, of 1
 STEEPEST = 1e-4  # slope of the cost at a minimum, over what residuals and derivatives could make it
 STEEPEST_UNSOLVED = 1e-6  # the same where the optimiser ran out of steps
@@ -84,7 +84,7 @@ def search_from(task: FitTask, z: np.ndarray, *, again: bool = True) -> Ending:
     result = _result(minimum, evidence, least_rise, settled=settled, stopped=stopped)
     if task.prefer_start and evidence.open_profile:
         minimum = minimum._replace(outcome=nearest_to_start(minimum, evidence))
-        seen = {"open_profile": evidence.open_profile, "bounded_above": evidence.bounded_above}
+        seen = {"open_profile": evidence.open_profile, "bounded_above": evidence.bounded_above, "ends": evidence.ends}
         evidence = replace(_evidence(task, minimum), **seen)
     if result != SUCCESSFUL:
         evidence = replace(evidence, failed=True, bounded_above=())
@@ -240,40 +240,60 @@ def look_along_valleys(
     """Hold each parameter that looks identified at values further and further away, and fit the others again.
 
     The curvature at a minimum can suggest an interval although the valley is flat further away. A side is closed if the
-    sum of squares rises there by twice the rise at the end of a 95 % interval. Returns the evidence with the open and
-    the limited parameters, the least rise of the sum of squares at all places, and the z of this place: None if it fell
-    nowhere.
+    sum of squares rises there by twice the rise at the end of a 95 % interval. If it rises by much less than the
+    curvature predicts, that side of the interval is made longer. Returns the evidence with the open and the limited
+    parameters and the longer sides, the least rise of the sum of squares at all places, and the z of this place: None
+    if it fell nowhere.
     """
     space, value = minimum.problem.space, evidence.value
     reach = evidence.uncertainty(np.eye(len(value)))
     error, enough, half_width = reach.standard_error, closing_rise(reach), reach.half_width
     tried: list[tuple[float, np.ndarray | None]] = [(0.0, None)]  # rise and z
 
-    def closes(i: int, places: Iterable[float]) -> bool:
-        """Whether the sum of squares rises enough at one of the places, the nearest first."""
+    def end(i: int, places: np.ndarray) -> float:
+        """The end of the interval over its half-width, where the sum of squares rises enough at one of the places.
+
+        The nearest place comes first. Infinite if the sum of squares rises enough nowhere.
+        """
+        factor = 1.0
         for k, place in enumerate(places):
             held = hold_one(len(value), i, place)
             z = None if k else minimum.beside(i, place)  # further away, the valley may bend
-            needed = min(enough[i], EXPECTED_PART * ((place - value[i]) / error[i]) ** 2)
-            moved, rise = minimum.refit(held, z, needed)
+            expected = ((place - value[i]) / error[i]) ** 2
+            needed = min(enough[i], EXPECTED_PART * expected)
+            moved, rise = minimum.refit(held, z, needed if k else max(needed, STRAIGHT * expected))
             if rise < 0:
                 tried.append((rise, np.where(np.isnan(held), moved.z, space.inverse(i, place))))
+            if k == 0 and rise < STRAIGHT * expected:
+                factor = _end_of_side(rise / expected, abs(place - value[i]) / half_width[i])
             if not rise <= needed:  # NaN: the model ends there
-                return True
-        return False
+                return factor
+        return np.inf
 
     status = np.array([determination.status[name] for name in space.names])
-    opened = [
-        i
-        for i in np.flatnonzero(status == IDENTIFIED).tolist()
-        if not all(closes(i, places) for places in _sides(space, i, value[i], half_width[i]))
-    ]
+    ends = np.ones((len(value), 2))  # below, above
+    for i in np.flatnonzero(status == IDENTIFIED).tolist():
+        ends[i] = [end(i, places) for places in _sides(space, i, value[i], half_width[i])]
+    opened = np.flatnonzero(np.any(np.isinf(ends), axis=1)).tolist()
     near = np.isfinite(space.lower) & (value - half_width <= space.lower) & np.isin(status, (NOT_IDENTIFIED, AT_BOUND))
     near &= np.isfinite(half_width) & (value + half_width < space.upper)
-    limited = [i for i in np.flatnonzero(near).tolist() if closes(i, value[i] + half_width[i] * np.array([1.0, 2.0]))]
-    if opened or limited:
-        evidence = replace(evidence, open_profile=tuple(opened), bounded_above=tuple(limited))
+    for i in np.flatnonzero(near).tolist():
+        ends[i, 1] = end(i, value[i] + half_width[i] * np.array([1.0, 2.0]))
+    limited = np.flatnonzero(near & np.isfinite(ends[:, 1])).tolist()
+    if opened or limited or np.any(ends > 1):
+        ends = np.where(np.isfinite(ends), ends, 1.0)
+        evidence = replace(evidence, open_profile=tuple(opened), bounded_above=tuple(limited), ends=ends)
     return evidence, *min(tried, key=lambda place: place[0])
+
+
+def _end_of_side(part: float, distance: float) -> float:
+    """Where one side of a 95 % interval ends, in half-widths by the curvature, 2 at most.
+
+    At a distance, the sum of squares has risen by only a part of what the curvature predicts. The root of the rise is
+    taken for a parabola through this place and the estimate.
+    """
+    bend = (np.sqrt(max(part, 0.0)) - 1) / distance
+    return float(2 / (1 + np.sqrt(max(1 + 4 * bend, 0.0))))
 
 
 def closing_rise(reach: Uncertainty) -> np.ndarray:

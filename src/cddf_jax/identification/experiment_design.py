@@ -190,6 +190,7 @@ def _with(evidence: Evidence, rows: np.ndarray) -> Evidence:
         rows={**evidence.rows, name: rows},
         noise_slopes={**evidence.noise_slopes, name: np.zeros((len(rows), 0))},
         open_profile=(),
+        ends=None,
         at_bound=np.zeros_like(evidence.at_bound),
     )
 
