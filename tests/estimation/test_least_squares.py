@@ -180,6 +180,16 @@ def test_an_interval_is_longer_where_the_sum_of_squares_rises_slowly(sign):
     assert (inner, outer) == pytest.approx((sign * np.sqrt(1 - reach), sign * (1 + reach / 2)), rel=1e-4)
 
 
+def test_an_interval_reaches_beyond_a_bend():
+    """A line that is five times less steep half a half-width below the estimate: there the interval is 3 times as long."""
+    half_width = stats.norm.ppf(0.975) * 0.01
+    bend = 5.0 - half_width / 2
+    fit = least_squares_fit(
+        lambda p: jnp.maximum(p["b"], bend + (p["b"] - bend) / 5)[None], {"b": 4.0}, 5 * np.ones(1), 0.01
+    )
+    assert fit.confidence_interval["b"] == pytest.approx((5 - 3 * half_width, 5 + half_width), rel=1e-6)
+
+
 def test_the_model_is_never_asked_beyond_a_bound():
     """The square root has no derivative at 0 and no value below."""
     data = np.sqrt(0.01) * X + SIGMA * np.random.default_rng(3).normal(size=X.size)

@@ -23,6 +23,7 @@ BRIEF = 0.3  # s: after a portion of steps that took longer, the next one is sho
 LONG = 20.0  # s: a search that took longer says how to stop it
 UNEXPLAINED = 0.9  # of the scatter of the data, left in the residuals: hardly anything is explained
 STALLED = 6  # looks at a search that bring no noteworthy fall of the cost, where the model has kinks: it ends
+LEAST_RANK = 1e-6  # of the largest singular value: what is determined less does not move to first order
 CLEARLY = 10.0  # factor between a cost above a limit and what a step promises, where no step brings it below
 SHORTER = 0.25  # factor on the reach after the first step in a row that was not taken
 GOOD = 0.75  # of the promised fall of the cost: after a step that brings more, the next may be longer
@@ -103,7 +104,10 @@ class Minimum(NamedTuple):
         return f"step {self.outcome.num_steps}, misfit {100 * ratio:.3g} % ({group}), {numbers}"
 
     def beside(self, i: int, place: float) -> np.ndarray:
-        """The z where parameter i has another value, and to first order the others are fitted again."""
+        """The z where parameter i has another value, and to first order the others are fitted again.
+
+        They do not move along directions that the data hardly determine.
+        """
         space, z, jacobian = self.problem.space, self.outcome.z, self.outcome.jacobian
         _, stretch = jax.jvp(space.parameters, (z,), (np.ones_like(z),))
         slope = jacobian * np.asarray(stretch) / self.outcome.size
@@ -112,7 +116,7 @@ class Minimum(NamedTuple):
         change[i] = space.inverse(i, place) - z[i]
         rows = slope * change[i]
         if np.all(np.isfinite(rows)) and change[i] != 0:
-            change[others] = -np.linalg.lstsq(slope[:, others], rows[:, i])[0]
+            change[others] = -np.linalg.lstsq(slope[:, others], rows[:, i], rcond=LEAST_RANK)[0]
         return z + change
 
     def refit(

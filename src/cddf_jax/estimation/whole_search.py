@@ -255,19 +255,22 @@ def look_along_valleys(
 
         The nearest place comes first. Infinite if the sum of squares rises enough nowhere.
         """
-        factor = 1.0
+        distance, roots = abs(places - value[i]) / half_width[i], []
         for k, place in enumerate(places):
             held = hold_one(len(value), i, place)
             z = None if k else minimum.beside(i, place)  # further away, the valley may bend
             expected = ((place - value[i]) / error[i]) ** 2
             needed = min(enough[i], EXPECTED_PART * expected)
-            moved, rise = minimum.refit(held, z, needed if k else max(needed, STRAIGHT * expected))
+            limit = needed if k else max(needed, STRAIGHT * expected)
+            moved, rise = minimum.refit(held, z, limit)
+            if k == 0 and np.isnan(rise):
+                moved, rise = minimum.refit(held, closing_rise=limit)
             if rise < 0:
                 tried.append((rise, np.where(np.isnan(held), moved.z, space.inverse(i, place))))
-            if k == 0 and rise < STRAIGHT * expected:
-                factor = _end_of_side(rise / expected, abs(place - value[i]) / half_width[i])
-            if not rise <= needed:  # NaN: the model ends there
-                return factor
+            closed = not rise <= needed  # NaN: the model ends there
+            roots.append(np.sqrt(max(rise, 0.0)) / reach.quantile[i] if np.isfinite(rise) else np.inf)
+            if closed:
+                return _end_of_side(distance[: k + 1], np.array(roots))
         return np.inf
 
     status = np.array([determination.status[name] for name in space.names])
@@ -286,14 +289,19 @@ def look_along_valleys(
     return evidence, *min(tried, key=lambda place: place[0])
 
 
-def _end_of_side(part: float, distance: float) -> float:
-    """Where one side of a 95 % interval ends, in half-widths by the curvature, 2 at most.
+def _end_of_side(distance: np.ndarray, root: np.ndarray) -> float:
+    """Where one side of a 95 % interval ends, in half-widths by the curvature: where the root of the rise is 1.
 
-    At a distance, the sum of squares has risen by only a part of what the curvature predicts. The root of the rise is
-    taken for a parabola through this place and the estimate.
+    The root of the rise of the sum of squares, over that at the end of an interval, is known at some distances. By the
+    curvature it would be the distance. If it is much less at the first one, it is taken for a parabola through this
+    place and the estimate, or, further away, for a straight line between the last two places.
     """
-    bend = (np.sqrt(max(part, 0.0)) - 1) / distance
-    return float(2 / (1 + np.sqrt(max(1 + 4 * bend, 0.0))))
+    part = root[0] / distance[0]
+    if part**2 >= STRAIGHT:
+        return 1.0
+    if root[0] < 1 and len(root) > 1:
+        return float(np.interp(1.0, root[-2:], distance[-2:])) if np.isfinite(root[-1]) else float(distance[-1])
+    return float(2 / (1 + np.sqrt(max(1 + 4 * (part - 1) / distance[0], 0.0))))
 
 
 def closing_rise(reach: Uncertainty) -> np.ndarray:
