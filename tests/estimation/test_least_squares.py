@@ -181,7 +181,7 @@ def test_an_interval_is_longer_where_the_sum_of_squares_rises_slowly(sign):
 
 
 def test_an_interval_reaches_beyond_a_bend():
-    """A line, five times less steep from half a half-width below the estimate on: the interval ends at three of them."""
+    """A line, five times less steep from half a half-width below the estimate on: it ends at three half-widths."""
     half_width = stats.norm.ppf(0.975) * 0.01
     bend = 5.0 - half_width / 2
     fit = least_squares_fit(
