@@ -43,7 +43,7 @@ class Determination:
     names: tuple[str, ...]  # of the parameters that were fitted
     value: dict[str, float]  # estimate, SI
     standard_error: dict[str, float]  # inf where the data do not determine the parameter
-    confidence_interval: dict[str, tuple[float, float]]  # 95 %, t-statistics where noise was estimated
+    confidence_interval: dict[str, tuple[float, float]]  # 95 %, by t where noise was estimated; sides may differ
     status: dict[str, str]  # "identified", "not identified", "prior only", "at bound" or "fixed"
     combinations: dict[str, Estimate]  # products of powers of unidentified parameters that are identified
     sums: dict[str, Estimate]  # sums and differences of two unidentified parameters of one kind that are identified

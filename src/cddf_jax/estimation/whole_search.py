@@ -267,9 +267,8 @@ def look_along_valleys(
                 moved, rise = minimum.refit(held, closing_rise=limit)
             if rise < 0:
                 tried.append((rise, np.where(np.isnan(held), moved.z, space.inverse(i, place))))
-            closed = not rise <= needed  # NaN: the model ends there
             roots.append(np.sqrt(max(rise, 0.0)) / reach.quantile[i] if np.isfinite(rise) else np.inf)
-            if closed:
+            if not rise <= needed:  # NaN: the model ends there
                 return _end_of_side(distance[: k + 1], np.array(roots))
         return np.inf
 
