@@ -49,6 +49,15 @@ def test_without_an_estimate_the_answer_is_the_same(pair):
     np.testing.assert_allclose(on[0], on[1], rtol=1e-10)
 
 
+def test_small_steps_have_few_increments_and_stay_accurate():
+    """A loop of small steps at the defaults; with four times the increments it differs by their error alone."""
+    turns = np.linspace(0.0, 2 * np.pi, 24)
+    path = np.stack([40.0 + 25.0 * np.cos(turns), 40.0 - 25.0 * np.cos(turns)], axis=1)
+    few, many = (cddf.trace(PAIR, path, short_steps=count, estimate_error=False) for count in (16, 64))
+    np.testing.assert_allclose(few.tip_tension, many.tip_tension, atol=65.0 * 1e-3)
+    np.testing.assert_allclose(few.tip_position, many.tip_position, atol=0.14 * 1e-4)
+
+
 def test_a_small_body_is_similar(pair):
     """All lengths a twentieth, and the tensions their square: angles and tensions in proportion, as every law says."""
     small = {name: np.asarray(PAPER[name]) / 20 for name in ("length", "outer_radius", "inner_radius", "tendon_offset")}
@@ -71,7 +80,7 @@ def test_a_softer_law_is_within_its_error(pair, monkeypatch):
 
 @pytest.mark.slow
 def test_refined_antagonists_meet_the_table():
-    rough, fine = (cddf.trace(PAIR, PATH, short_steps=count).tip_angle for count in (32, 64))
+    rough, fine = (cddf.trace(PAIR, PATH, nodes=22, short_steps=count).tip_angle for count in (32, 64))
     np.testing.assert_allclose(np.degrees(2 * fine - rough), ANGLES, atol=0.005)  # the error falls with the steps
 
 
@@ -184,7 +193,7 @@ LOAD = cddf.Loads(tip_force=(0.0, -1.0))
 @pytest.fixture(scope="module")
 def loop():
     """One tendon, which has an exact answer, with loads that are zero."""
-    return cddf.trace(ONE, [75.0, 60.0, 40.0, 20.0, 0.0], cddf.Loads())
+    return cddf.trace(ONE, [75.0, 60.0, 40.0, 20.0, 0.0], cddf.Loads(), nodes=22)
 
 
 @pytest.fixture(scope="module")
@@ -344,7 +353,7 @@ SLANTED = {"tendon_offset": (0.012, 0.008)}
 def test_a_pull_of_all_tendons_is_a_solve(body, loads):
     """Their tensions grow in proportion, so that every tendon slides one way all along, under loads that stay."""
     shares = np.array([1.0, 0.3])[: body.num_tendons]
-    history = cddf.trace(body, np.outer([30.0, 60.0], shares), loads, nodes=8, short_steps=8)
+    history = cddf.trace(body, np.outer([30.0, 60.0], shares), loads, nodes=11, short_steps=8)
     for step, tension in enumerate((30.0, 60.0)):
         found = cddf.solve(body, tension * shares, loads)
         error = float(history.error_estimate[step])

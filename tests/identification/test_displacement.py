@@ -171,7 +171,7 @@ def test_one_tendon_by_tension_and_another_by_displacement():
     columns = {"base_tension": pull, "displacement_2": there + 1e-3, "tip_angle": np.zeros(8), "step": range(8)}
     table = Measurements.from_columns("simulated", **columns)
     rows = bench_of(table, body, course=course_of(table, {"base_tension": 0.0, "displacement": 0.0})[0])
-    found = rows.predict(body, {"slack_offset_2": np.asarray(1e-3)}, 16)
+    found = rows.predict(body, {"slack_offset_2": np.asarray(1e-3)}, 12)
     np.testing.assert_allclose(found["tip_angle"], history.tip_angle, atol=1e-9)
 
 

@@ -209,15 +209,14 @@ def test_poses_one_after_another_are_planned_as_they_are_fitted():
     body = three_tendon_tube()
     candidate = cddf.standard_candidates(body, 12.0)[-1]
     assert candidate.name == "tip positions, tendons pulled in turn"
-    first = cddf.plan(body, [candidate], num=1).ranking[0].expected
+    first = cddf.plan(body, [candidate], num=1, nodes=12).ranking[0].expected
     pulls = np.transpose([np.asarray(candidate.conditions[f"base_tension{end}"]) for end in ("", "_2", "_3")])
     np.testing.assert_allclose(pulls[[0, 4]], [[12.0, 1.2, 1.2], [1.2, 6.0, 1.2]])
-    tips = cddf.trace(
-        body, pulls, nodes=8, short_steps=4, throw=False
-    ).tip_position  # with the elements and increments of a fit
+    few = {"nodes": 8, "short_steps": 4, "throw": False}  # the elements and increments of a fit with 12 nodes
+    tips = cddf.trace(body, pulls, **few).tip_position
     columns = {name: np.asarray(own) for name, own in candidate.conditions.items()}
     columns |= {f"tip_{axis}": tips[:, i] for i, axis in enumerate("xyz")}
     table = cddf.Measurements.from_columns("poses", ("simulated",), **columns)
-    fit = cddf.fit(body, table, noise=dict(candidate.noise) | {"base_tension": 0.0})
+    fit = cddf.fit(body, table, noise=dict(candidate.noise) | {"base_tension": 0.0}, nodes=12)
     for name, error in fit.standard_error.items():
         assert first.standard_error[name] == pytest.approx(error, rel=1e-3)

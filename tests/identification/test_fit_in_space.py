@@ -206,7 +206,7 @@ def test_markers_of_a_history_under_loads():
     table = cddf.Measurements.from_columns("simulated", base_tension=pulls, step=[1, 2, 3], **{"x@head": [0.1] * 3})
     setting, body = cddf.BenchSetting(loads=loads, markers={"head": HEAD}), winding()
     rows = bench_of(table, body, course=course_of(table, stepped=True)[0], setting=setting)
-    found = rows.shown(body, {}, 8)
+    found = rows.shown(body, {}, 6)
     expected = cddf.trace(body, pulls, loads, nodes=4, short_steps=4, throw=False)
     np.testing.assert_allclose(found.tip_position, expected.tip_position, atol=1e-9)
     fields = of_kind(cddf.SpatialFields, expected.at(0.08))

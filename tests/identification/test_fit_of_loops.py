@@ -452,7 +452,7 @@ def test_a_loop_of_two_tendons_brings_the_truth_back():
 
 
 HEAVY = cddf.Loads(tip_force=(0.0, -0.3), gravity=(0.0, -9.81))
-AS_FITTED: dict[str, Any] = {"nodes": 8, "short_steps": 4}  # of `trace`, with which it has the cells and steps of a fit
+AS_FITTED: dict[str, Any] = {"nodes": 8, "short_steps": 4}  # of `trace`: the cells and steps of a fit with 12 nodes
 
 
 def heavy():
@@ -469,7 +469,7 @@ def test_what_two_tendons_had_before():
     table = Measurements.from_columns("pair", **columns, tip_tension=np.zeros(3), tip_angle=np.zeros(3))
     course = course_of(table, starts=[Start((None, None), ("before", ""))])[0]
     assert course.past_in_words == ["fitted (before) and 20 N"]
-    shown = bench_of(table, PAIR, course=course).predict(PAIR, {"before": np.asarray(62.0)}, 16)
+    shown = bench_of(table, PAIR, course=course).predict(PAIR, {"before": np.asarray(62.0)}, 12)
     np.testing.assert_allclose(shown["tip_tension"], history.tip_tension[:, 0], rtol=1e-9)
     np.testing.assert_allclose(shown["tip_angle"], history.tip_angle, atol=1e-9)
 
@@ -483,7 +483,7 @@ def test_a_loop_under_gravity():
     table = Measurements.from_columns("bench", **columns, tip_force_y=np.full(4, -0.3), step=range(4))
     start = dataclasses.replace(body, friction_coefficient=0.35, youngs_modulus=1.2e6)
     setting = cddf.BenchSetting(loads=cddf.Loads(gravity=HEAVY.gravity))
-    found = cddf.fit(start, table, noise=NOISE, setting=setting, short_steps=2)
+    found = cddf.fit(start, table, noise=NOISE, setting=setting, nodes=12, short_steps=2)  # with the same elements
     assert found.value["friction_coefficient"] == pytest.approx(MU, rel=1e-8)
     assert found.value["youngs_modulus"] == pytest.approx(E, rel=1e-8)
     for residual in found.residuals.values():
@@ -504,7 +504,7 @@ def test_a_tip_force_that_changes_under_gravity():
     table = Measurements.from_columns("bench", **columns, **read)
     course = course_of(table, starts=[Start((before,), ("",))], stepped=True)[0]
     rows = bench_of(table, heavy(), course=course, setting=cddf.BenchSetting(loads=gravity))
-    shown = rows.predict(heavy(), {}, 16)
+    shown = rows.predict(heavy(), {}, 12)
     np.testing.assert_allclose(shown["tip_tension"], history.tip_tension, rtol=1e-9)
     np.testing.assert_allclose(shown["tip_angle"], history.tip_angle, atol=1e-9)
     np.testing.assert_allclose(shown["tip_y"], history.tip_position[:, 1], atol=1e-11)

@@ -15,11 +15,11 @@ LENGTH, STIFFNESS, PLACE = 0.2, 0.02, 0.08  # m, N m^2, m
 ROD = cddf.Manipulator(
     length=LENGTH, tendons=(cddf.Tendon(0.008),), friction_coefficient=0.2, bending_stiffness=STIFFNESS
 )
-AS_FITTED = {"nodes": 8, "short_steps": 4, "throw": False}  # of `trace`, with which it has the cells and steps of a fit
+AS_FITTED = {"nodes": 8, "short_steps": 4, "throw": False}  # of `trace`: the cells and steps of a fit with 12 nodes
 
 
 def rows_of(body, table, **how):
-    return experiment_of(table, body, **how).predict(body, {}, 16)
+    return experiment_of(table, body, **how).predict(body, {}, 12)
 
 
 def test_small_forces_bend_a_cantilever():

@@ -110,7 +110,7 @@ Column = Annotated[
     ),
 ]
 ShortSteps = Annotated[
-    int, typer.Option(help="With several tendons or loads: increments for each step of a history.", min=2)
+    int, typer.Option(help="With several tendons or loads: increments for each long step of a history.", min=2)
 ]
 AverageHolds = Annotated[
     bool,

@@ -20,7 +20,8 @@ from ..mechanics.fields import AnyFields
 from ..mechanics.friction import PerTendon
 from ..mechanics.problem import lay_out
 from ..numerics import tolerances as tol
-from ..numerics.arrays import varying_as, zero_as
+from ..numerics.arrays import largest_size, varying_as, zero_as
+from ..numerics.fixed_point import without_derivative
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..statics.arguments import harmless, is_physical
@@ -51,8 +52,9 @@ from .path import Path
 
 Number = Float[Array, ""]
 Flags = Bool[Array, " steps"]
-ELEMENTS = 4  # times the nodes in each smooth piece of the body
+ELEMENTS = 3  # times the nodes in each smooth piece of the body, one more where that is odd
 ACCURACY = 1e-2  # a step with a larger error estimate is called inaccurate
+FULL_TURN = 0.5  # rad, by which a step of tensions turns the body without friction: smaller ones have fewer increments
 TRIED = 3  # times the increments that are wanted: so many are tried, where some have to be cut
 LEAST_WIDTH = 1e-4  # part of a step, the least increment
 SAFETY = 2.0  # factor on the differences of the passes in the error estimate
@@ -144,8 +146,7 @@ def _followed(
     zero = zero_as(manipulator, path, rough)  # under shard_map all numbers vary over the devices, or none
     grid = varying_as(cut_into_elements(manipulator, kind.num_elements, _last(path.loads), rough.elements), zero)
     given = varying_as(jax.vmap(partial(_given, grid))(path.tension, path.goal, path.loads), zero)
-    least = (1.0 + rough.increments) / kind.num_increments + zero  # two as one
-    advance = partial(_advanced, grid, TRIED * kind.num_increments, least)
+    advance = partial(_advanced, grid, kind.num_increments, rough.increments + zero)
     start = _before_first(grid, path, start, advance, zero)
     goal = start.given.goal
     for each in kind.driven:
@@ -172,10 +173,20 @@ def _before_first(grid: Grid, path: Path, start: Instant | None, advance: Callab
 
 
 def _advanced(
-    grid: Grid, tries: int, widest: Number, goals: tuple[Goal, ...], instant: Instant, to: Given
+    grid: Grid, most: int, rough: Number, goals: tuple[Goal, ...], instant: Instant, to: Given
 ) -> tuple[Instant, Instant]:
-    """The instant after a step, for the next step and for the results; an increment that does not settle is cut."""
+    """The instant after a step, for the next step and for the results; an increment that does not settle is cut.
+
+    Args:
+        grid: the body.
+        most: the largest number of increments that the step is divided into; `rough`: 1 for half as many, else 0.
+        goals: what is given of the driven tendons.
+        instant: before the step.
+        to: what acts after it.
+    """
     before, driven = instant.given, tendons_of(goals)
+    count = _num_increments(grid, most, before, to) if not goals else float(most)
+    widest = (1.0 + rough) / count
 
     def part(so_far: _SoFar, _: None) -> tuple[_SoFar, None]:
         onto = jnp.minimum(so_far.done + so_far.width, 1.0)
@@ -193,11 +204,22 @@ def _advanced(
     none = 0.0 * instant.work
     # in reverse mode all but the unknowns is computed again: a twentieth of the memory, and less to compile
     increment = jax.checkpoint(part, prevent_cse=False, policy=jax.checkpoint_policies.save_only_these_names(FOUND))
-    end = jax.lax.scan(increment, _SoFar(instant, none, none + widest), None, tries)[0]
+    end = jax.lax.scan(increment, _SoFar(instant, none, none + widest), None, TRIED * most)[0]
     body = end.instant.body._replace(converged=end.instant.body.converged & (end.done >= 1.0))
     instant = end.instant._replace(body=body, given=to)
     tension = to.base_tension.at[driven].set(body.nodes.tension[0, driven])  # as it was found
     return instant, instant._replace(given=to._replace(base_tension=tension))
+
+
+def _num_increments(grid: Grid, most: int, before: Given, to: Given) -> Number:
+    """Into how many increments a step of given tensions is divided: into fewer where they change little.
+
+    All that happens in the body is then at most in proportion to it. A small displacement may change tensions much.
+    """
+    change = without_derivative(jax.tree.map(jnp.subtract, to, before))
+    loads = [x for x in (change.force, change.moment, change.tip_moment) if x is not None]
+    few = jnp.clip(jnp.ceil(most * grid.turned_by(change.base_tension) / FULL_TURN), 2, most)
+    return jnp.where(largest_size(loads) > 0, most, few) if loads else few
 
 
 def _given(grid: Grid, tension: PerTendon, goal: PerTendon, loads: Loads | None) -> Given:

@@ -75,12 +75,13 @@ def trace(
             The carry of `jax.lax.scan` must keep its structure: begin with a history of as many steps as each call has,
             such as `trace(body, [0.0])` for one step.
         nodes: Gauss nodes in each smooth piece of the body, 4 or more; static. With several tendons or loads the piece
-            has four times as many elements.
+            has three times as many elements.
         max_turns: how many turns can be remembered at once, 1 or more; static. Where there are more, the status of the
             step is `too_many_turns`. A loop closes when a tension passes the turn before: then two turns are forgotten.
             With several tendons or loads there is no such limit.
-        short_steps: into how many increments each step is divided with several tendons or loads, 2 or more; static. A
-            path of many steps needs fewer.
+        short_steps: into how many increments a step is divided with several tendons or loads, 2 or more; static. It
+            counts for steps that would turn the body by 0.5 rad or more without friction. Smaller ones have fewer in
+            proportion, but at least 2.
         estimate_error: static. Without it several tendons or loads take a third of the time, `error_estimate` is NaN,
             and no step is called `inaccurate`. A `start` without an estimate is continued without one.
         throw: raise an error if a step failed, where the values are known.
@@ -110,7 +111,7 @@ def trace(
         if loads is None and _is_exact(manipulator, driven, start):
             history = _exactly(manipulator, path, driven, earlier, start, nodes, max_turns)
         else:
-            kind = Following(driven, ELEMENTS * nodes, short_steps, estimate_error)
+            kind = Following(driven, ELEMENTS * nodes + nodes % 2, short_steps, estimate_error)
             history = _in_increments(manipulator, path, loads is None, earlier, start, kind)
     except (TypeError, ValueError):
         refuse_batch("trace", manipulator)
