@@ -319,7 +319,7 @@ def test_bad_rows_are_refused(read, rows, message):
         (ROWS.replace("offset_1", "offset_2"), "without gaps, got offset_2"),
         (ROWS.replace(", offset_1 [mm]", "").replace(", 10", ""), "got none"),
         (ROWS.replace("inner_radius", "bore"), "unknown column 'bore'"),
-        (ROWS.replace("offset_1", "outer_radius"), "appears twice"),
+        (ROWS.replace("offset_1", "outer_radius"), "both are the column outer_radius; remove one"),
         (ROWS.replace("outer_radius [mm]", "outer_radius"), "needs a unit of length"),
     ],
 )

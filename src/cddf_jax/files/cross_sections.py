@@ -26,7 +26,7 @@ import numpy as np
 from ..errors import InputError, within
 from ..robot.manipulator import Manipulator, Tendon
 from ..robot.profiles import Polyline, Profile
-from ..units import Dimension, shown
+from ..units import shown
 from .csv_table import read_table, table_csv
 from .simplest_profile import simplest_profile
 from .table_header import Kind, short
@@ -122,14 +122,13 @@ def _rows(manipulator: Manipulator) -> dict[str, np.ndarray]:
 # --- reading -------------------------------------------------------------------------------------
 
 
-def _dimension_of(column: str) -> Dimension:
-    if column in ("arc_length", "outer_radius", "inner_radius") or _OFFSET.fullmatch(column):
-        return "length"
-    raise InputError(f"unknown column {short(column)}; known are {_COLUMNS}")
+def _meant(name: str) -> str | None:
+    return name if name in ("arc_length", "outer_radius", "inner_radius") or _OFFSET.fullmatch(name) else None
 
 
 _KIND = Kind(
-    _dimension_of,
+    _meant,
+    lambda column: "length",
     "cross-sections",
     "arc_length [mm], outer_radius [mm], inner_radius [mm], offset_1 [mm]",
     gaps=lambda column: column.startswith("offset"),

@@ -26,19 +26,6 @@ _UNITS_BELOW = 3  # rows below the header, in which units are looked for: there 
 _MISSING = ("", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--")
 
 
-class Unused(NamedTuple):
-    """A column that the reader does not know."""
-
-    head: str  # on one line
-    cells: Sequence[str] = ()
-    unit: str | None = None  # in a row below the header
-
-    @property
-    def name(self) -> str:
-        """The head without a unit in brackets or parentheses."""
-        return table_header.name_and_unit(self.head)[0]
-
-
 class Table(NamedTuple):
     """The content of a file."""
 
@@ -47,7 +34,7 @@ class Table(NamedTuple):
     rows: list[int]  # that of each row
     notes: tuple[str, ...]  # the text above the header
     read_as: tuple[str, ...]  # how the file was understood, if it is not plain
-    unused: tuple[Unused, ...]  # columns that the reader does not know, without those that the caller leaves out
+    unused: tuple[Heading, ...]  # columns that the reader does not know, without those that the caller leaves out
     missing: tuple[str, ...]  # names of columns that the caller described and the file does not have
 
 
@@ -59,18 +46,15 @@ def read_table(path: str | os.PathLike[str], kind: Kind, columns: Mapping[str, s
     with within(path):
         source, given = _opened(path, kind, columns or {})
         below = list(islice(source.rows, _UNITS_BELOW))
-        headings = table_header.headings_of(source.header, source.row, kind, given, [cells for _, cells in below])
+        numbers_below = any(is_number(cells[0].replace(",", ".")) for _, cells in below)
+        headings = table_header.headings_of(source.header, source.row, kind, given, numbers_below)
         for i, (row, cells) in enumerate(below):
             if with_units := table_header.with_units_below(headings, row, cells, kind):
-                between = " and ".join(f"row {at}" for at, _ in below[:i])
-                unused = f"; between them and the header, not used: {between}" if between else ""
-                source.read_as.append(f"row {row} holds the units{unused}")
+                source.read_as.append(f"row {row} holds the units")
                 headings, below = with_units, below[i + 1 :]
                 break
         table_header.check_headings(headings, source.row, kind)
-        names = {heading.text if heading.text in given else heading.name for heading in headings}
-        table = _read(chain(below, source.rows), headings, kind, source, tuple(set(given) - names))
-        return table._replace(unused=tuple(one for one in table.unused if not set(given) & {one.head, one.name}))
+        return _read(chain(below, source.rows), headings, kind, source, given)
 
 
 def columns_in(path: str | os.PathLike[str], kind: Kind, columns: Mapping[str, str]) -> set[str]:
@@ -108,7 +92,7 @@ def table_csv(columns: Mapping[str, ArrayLike]) -> str:
 
 
 def _read(
-    rows: Iterator[Row], headings: Sequence[Heading], kind: Kind, source: Source, missing: tuple[str, ...]
+    rows: Iterator[Row], headings: Sequence[Heading], kind: Kind, source: Source, given: Mapping[str, str]
 ) -> Table:
     """The columns, each converted as a whole."""
     at, cells = _cells_by_column(rows, headings)
@@ -116,45 +100,51 @@ def _read(
         raise InputError(
             f"has a header but no rows; add the {kind.content} below it (lines that begin with # are notes)"
         )
-    unit_of = {heading.column: heading.unit for heading in headings}
-    used = {h.column: own for h, own in zip(headings, cells, strict=True) if h.column is not None}
-    for column, own in used.items():
-        if formulas := [i for i, text in enumerate(own) if text.startswith("=")]:
-            table_header.check_computed(own[formulas[0]], f"row {at[formulas[0]]}, column {column}")
     words_read: dict[str, str] = {}
-    texts = {column: _replace_words(own, kind.words(column), words_read) for column, own in used.items()}
-    times = {column for column in texts if _is_time(column, kind)}
+    texts = {
+        heading: _replace_words(own, kind.words(heading.column), words_read)
+        for heading, own in zip(headings, cells, strict=True)
+        if heading.column is not None
+    }
     if source.decimal_commas:
-        plain = {column: own for column, own in texts.items() if column not in kind.labels and column not in times}
-        texts |= _replace_commas(plain, at)
-        texts |= {column: [re.sub(r"(?<=\d),(?=\d)", ".", text) for text in texts[column]] for column in times}
-    columns = {}
-    for column, own in texts.items():
-        if column in times:
-            columns[column], said = seconds_in(column, at, own, unit_of[column] or "s")
-            source.read_as.extend([said] if said else [])
-        elif column in kind.labels:
-            columns[column] = _labels(column, at, own)
-        else:
-            columns[column] = _numbers(column, at, own, unit_of[column], kind)
+        texts = _without_commas(texts, at, kind)
+    columns = {str(heading.column): _values(heading, own, at, kind, source) for heading, own in texts.items()}
     unused = tuple(
-        Unused(heading.text, own, heading.unit)
+        heading._replace(cells=own)
         for i, (heading, own) in enumerate(zip(headings, cells, strict=True), 1)
         if heading.column is None and (heading.text != table_header.nameless(i) or any(text.strip() for text in own))
     )
     read_as = (*source.read_as, *_reading_notes(headings, unused, words_read))
-    return Table(columns, source.row, at, source.notes, read_as, unused, missing)
+    unknown = tuple(heading for heading in unused if not {heading.text, heading.name} & set(given))
+    missing = set(given) - {heading.text if heading.text in given else heading.name for heading in headings}
+    return Table(columns, source.row, at, source.notes, read_as, unknown, tuple(missing))
+
+
+def _values(heading: Heading, texts: list[str], rows: list[int], kind: Kind, source: Source) -> np.ndarray:
+    """A column of texts as labels, or as numbers in SI units."""
+    column = str(heading.column)
+    for row, text in zip(rows, texts, strict=True):
+        if text.startswith("="):
+            remedy = "open the file in a spreadsheet program and save it, or put the values in place of the formulas"
+            raise InputError(f"row {row}, column {column}: the formula {short(text)} was never computed; {remedy}")
+    if column in kind.labels:
+        return _labels(column, rows, texts)
+    if _is_time(column, kind):
+        values, said = seconds_in(column, rows, texts, heading.unit or "s")
+        source.read_as.extend([said] if said else [])
+        return values
+    return _numbers(column, rows, texts, heading.unit, kind)
 
 
 def _reading_notes(
-    headings: Sequence[Heading], unused: Sequence[Unused], words_read: Mapping[str, str]
+    headings: Sequence[Heading], unused: Sequence[Heading], words_read: Mapping[str, str]
 ) -> Iterator[str]:
     """How header and rows were read, where that is not obvious: renamed and unused columns, words read as numbers."""
     renamed = [h for h in headings if h.column is not None and h.name != h.column]
     if renamed:
         yield "read as: " + ", ".join(f"{h.text!r} {h.column}" + (f" [{h.unit}]" if h.unit else "") for h in renamed)
     if unused:
-        yield f"columns that are not used: {', '.join(short(column.head) for column in unused)}"
+        yield f"columns that are not used: {', '.join(short(heading.text) for heading in unused)}"
     if words_read:
         yield "words read as numbers: " + ", ".join(f"{word!r} {number}" for word, number in words_read.items())
 
@@ -197,17 +187,23 @@ def _replace_words(texts: list[str], words: Mapping[str, str], words_read: dict[
     return [words.get(text.strip().lower(), text) for text in texts]
 
 
-def _replace_commas(columns: Mapping[str, list[str]], rows: Sequence[int]) -> dict[str, list[str]]:
-    """The texts with points in place of decimal commas; a file with both marks is refused."""
-    cells = [(row, column, text) for column, texts in columns.items() for row, text in zip(rows, texts, strict=True)]
-    comma, point = (
-        next((f"row {row}, column {column}: {short(text)}" for row, column, text in cells if mark in text), "")
-        for mark in ",."
-    )
-    if comma and point:
+def _without_commas(texts: Mapping[Heading, list[str]], rows: Sequence[int], kind: Kind) -> dict[Heading, list[str]]:
+    """The texts with points in place of decimal commas; numbers with both marks are refused."""
+    found, first = dict(texts), {}
+    for heading, own in texts.items():
+        if heading.column in kind.labels:
+            continue
+        if _is_time(str(heading.column), kind):
+            found[heading] = [re.sub(r"(?<=\d),(?=\d)", ".", text) for text in own]
+            continue
+        found[heading] = [text.replace(",", ".") for text in own]
+        for row, text in zip(rows, own, strict=True):
+            for mark in filter(text.__contains__, ",."):
+                first.setdefault(mark, f"row {row}, column {heading.column}: {short(text)}")
+    if len(first) > 1:
         remedy = "write all numbers with the same decimal mark and without thousands separators"
-        raise InputError(f"{comma} has a comma, but {point} a point; {remedy}")
-    return {column: [text.replace(",", ".") for text in texts] for column, texts in columns.items()}
+        raise InputError(f"{first[',']} has a comma, but {first['.']} a point; {remedy}")
+    return found
 
 
 def _numbers(column: str, rows: Sequence[int], texts: Sequence[str], unit: str | None, kind: Kind) -> np.ndarray:

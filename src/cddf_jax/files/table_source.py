@@ -12,7 +12,6 @@ import os
 import re
 import zipfile
 from collections.abc import Callable, Collection, Iterator, Sequence
-from itertools import islice
 from typing import Any, NamedTuple
 
 from ..errors import InputError, needed
@@ -65,22 +64,25 @@ def open_table(path: str | os.PathLike[str], recognised: Recognised, empty: str)
 
 def _of_text(content: bytes, recognised: Recognised) -> Source | None:
     text, read_as = _decoded(content)
-    lines = list(io.StringIO(text, newline=None))
-    start, separators = 0, ";,\t"
+    lines, marks = list(io.StringIO(text, newline=None)), ";,\t"
     if lines and (said := re.fullmatch(r'"?sep=(.)"?[ \t,;]*\n?', lines[0], re.I)):
-        start, separators = 1, said[1]
-    plain = [i for i in range(start, len(lines)) if lines[i].strip(_BLANK) and not _COMMENT.match(lines[i])]
-    if not plain:
+        lines[0], marks = "\n", said[1]
+    plain = ["\n" if not line.strip(_BLANK) or _COMMENT.match(line) else line for line in lines]
+    filled = [i for i, line in enumerate(plain) if line != "\n"]
+    if not filled:
         return None
-    at, separator = _find_header(lines, plain[:_LOOKED_AT], separators, recognised)
-    header, below = _cells(lines, at, separator)
-    if _COMMENT.match(lines[at]):
-        header[0] = header[0].lstrip(" #")
-    notes = [line.strip(_BLANK).lstrip("#").strip() for line in lines[start:at] if line.strip(_BLANK)]
-    if head := [i + 1 for i in plain if i < at]:
-        read_as.append(f"the header is row {at + 1}; the text above it from row {head[0]} on is taken for notes")
-    rows = _rows(lines, below, separator, read_as)
-    return Source(at + 1, header, rows, tuple(notes), separator != ",", read_as)
+    looked_at = filled[:_LOOKED_AT]
+    tables = {mark: [(i, [cell.strip(_BLANK) for cell in lines[i].split(mark)]) for i in looked_at] for mark in marks}
+    known = {mark: _known_header(rows, recognised) for mark, rows in tables.items()}
+    words = {mark: _above_numbers(rows) for mark, rows in tables.items()}
+    of_names = max(marks, key=lambda mark: (known[mark][0], mark in lines[looked_at[known[mark][1]]]))
+    mark = of_names if known[of_names][0] else max(marks, key=lambda mark: words[mark][0])
+    at = looked_at[known[mark][1] if known[mark][0] else words[mark][1]]
+    notes = [line.strip(_BLANK).lstrip("#").strip() for line in lines[:at] if line.strip(_BLANK)]
+    if filled[0] < at:
+        read_as.append(f"the header is row {at + 1}; the text above it from row {filled[0] + 1} on is taken for notes")
+    rows = _rows(plain[at:], at, mark)
+    return Source(at + 1, next(rows)[1], rows, tuple(notes), mark != ",", read_as)
 
 
 def _decoded(content: bytes) -> tuple[str, list[str]]:
@@ -97,25 +99,6 @@ def _decoded(content: bytes) -> tuple[str, list[str]]:
     if _CONTROL.search(text):
         raise InputError(_NO_TEXT)
     return text, read_as
-
-
-def _find_header(
-    lines: Sequence[str], plain: Sequence[int], separators: str, recognised: Recognised
-) -> tuple[int, str]:
-    """Line and separator: the line with most known columns; else a comment above numbers; else the words above them."""
-    marks = [mark for mark in separators if any(mark in lines[i] for i in plain)] or [","]
-    tables = {mark: [(i + 1, _header_cells(lines, i, mark)) for i in plain] for mark in marks}
-    known = {mark: _known_header(rows, recognised) for mark, rows in tables.items()}
-    mark = max(marks, key=lambda mark: (known[mark][0], mark in lines[plain[known[mark][1]]]))
-    if known[mark][0]:
-        return plain[known[mark][1]], mark
-    blocks = {mark: _above_numbers(rows) for mark, rows in tables.items()}
-    mark = max(marks, key=lambda mark: blocks[mark][0])
-    above = max((i for i in range(plain[0]) if lines[i].strip(_BLANK)), default=-1)  # as NumPy's savetxt writes it
-    width = len(tables[mark][0][1])
-    if above >= 0 and blocks[mark][1] == 0 and width == len(_header_cells(lines, above, mark)) >= _ENOUGH:
-        return above, mark
-    return plain[blocks[mark][1]], mark
 
 
 def _known_header(rows: Sequence[Row], recognised: Recognised) -> tuple[int, int]:
@@ -150,39 +133,16 @@ def _numbers_and_words(cells: Sequence[str]) -> tuple[int, int]:
     return numbers, sum(map(bool, cells)) - numbers
 
 
-def _header_cells(lines: Sequence[str], at: int, separator: str) -> list[str]:
+def _rows(lines: Sequence[str], above: int, separator: str) -> Iterator[Row]:
+    """Every row that is not blank, by the number of its first line; `above` are the lines of the file before these."""
+    reader, at = csv.reader(lines, delimiter=separator, skipinitialspace=True, strict=True), above + 1
     try:
-        return [cell.strip() for cell in _cells(lines, at, separator)[0]]
-    except InputError:  # misplaced quotation marks: no header
-        return []
-
-
-def _rows(lines: Sequence[str], below: int, separator: str, read_as: list[str]) -> Iterator[Row]:
-    """Every row that is neither blank nor a comment."""
-    broken = 0
-    while below < len(lines):
-        at, line = below, lines[below]
-        if not line.strip(_BLANK) or ("#" in line and _COMMENT.match(line)):
-            below += 1
-            continue
-        cells, below = _cells(lines, at, separator)
-        broken = broken or (at + 1 if below > at + 1 else 0)
-        yield at + 1, cells
-    if broken:
-        read_as.append(
-            f"cells hold line breaks (row {broken}); rows are numbered by the lines of the file, as in an editor"
-        )
-
-
-def _cells(lines: Sequence[str], at: int, separator: str) -> tuple[list[str], int]:
-    """The cells of a row and the line below it; within quotation marks a line may break, and separators are text."""
-    if '"' not in lines[at]:
-        return lines[at].rstrip("\n").split(separator), at + 1
-    reader = csv.reader(islice(lines, at, None), delimiter=separator, skipinitialspace=True, strict=True)
-    try:
-        return next(reader), at + reader.line_num
+        for cells in reader:
+            if any(cell.strip() for cell in cells):
+                yield at, cells
+            at = above + reader.line_num + 1
     except csv.Error as error:
-        raise InputError(f"row {at + 1}: quotation marks are misplaced ({error}); remove them") from None
+        raise InputError(f"row {at}: is not CSV ({error}); remove a misplaced quotation mark there") from None
 
 
 # --- spreadsheets --------------------------------------------------------------------------------

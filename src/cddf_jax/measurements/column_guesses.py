@@ -8,8 +8,7 @@ import shlex
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 
-from ..files.csv_table import Unused
-from ..files.table_header import is_like_number, name_and_unit, short
+from ..files.table_header import Heading, is_like_number, name_and_unit, short
 from ..units import Dimension, preferred, unit_fits
 from .columns import PULLEY, column_dimension, column_resembled
 from .readings import of_tendons
@@ -44,7 +43,7 @@ def option(head: str, meant: str) -> str:
     return "--column " + (shlex.quote(text) if re.search(r'["$`!\\]', text) else f'"{text}"')
 
 
-def advice(unused: Sequence[Unused], guesses: Mapping[str, str], needed: Sequence[str] = ()) -> str:
+def advice(unused: Sequence[Heading], guesses: Mapping[str, str], needed: Sequence[str] = ()) -> str:
     """The options for all columns with a guess, and the names of those without one; `needed` has no guess either."""
     parts = []
     if guesses:
@@ -52,7 +51,7 @@ def advice(unused: Sequence[Unused], guesses: Mapping[str, str], needed: Sequenc
         note = "" if in_header else " (a unit that the header lacks is a guess too)"
         options = " ".join(option(*guess) for guess in guesses.items())
         parts.append(f"check these guesses by unit, words and order{note}, then copy: {options}")
-    if rest := [short(head) for head in dict.fromkeys(one.head for one in unused) if head not in guesses]:
+    if rest := [short(head) for head in dict.fromkeys(one.text for one in unused) if head not in guesses]:
         parts.append(f"no guess for {', '.join(rest[:_SHOWN])}{', ...' if len(rest) > _SHOWN else ''}")
     if needed:
         unit = preferred(column_dimension(needed[0]) or "dimensionless")[1]
@@ -65,40 +64,40 @@ def hint(guesses: Mapping[str, str]) -> list[str]:
     return [f"to use more columns, {advice((), guesses)}"] if guesses else []
 
 
-def guess_measurements(unused: Sequence[Unused], known: Collection[str]) -> dict[str, str]:
+def guess_measurements(unused: Sequence[Heading], known: Collection[str]) -> dict[str, str]:
     """By head, what columns of a table of measurements may be, such as "tip_x [mm]"; `known` are its other columns."""
-    pulley = set(known) & set(PULLEY) or any(_WRAP.search(one.head) for one in unused)
-    misspelt = {one.head: meant for one in unused if (meant := column_resembled(one.name))}
-    guessed = [one for one in unused if one.head not in misspelt and not _NEITHER_SET_NOR_READ.search(_words(one.head))]
+    pulley = set(known) & set(PULLEY) or any(_WRAP.search(one.text) for one in unused)
+    misspelt = {one.text: meant for one in unused if (meant := column_resembled(one.name))}
+    guessed = [one for one in unused if one.text not in misspelt and not _NEITHER_SET_NOR_READ.search(_words(one.text))]
     likely = {
-        one.head: _with_unit(misspelt[one.head], _unit(one), column_dimension(misspelt[one.head]))
+        one.text: _with_unit(misspelt[one.text], _unit(one), column_dimension(misspelt[one.text]))
         for one in unused
-        if one.head in misspelt
+        if one.text in misspelt
     }
     return likely | _guesses(guessed, {*known, *misspelt.values()}, _PULLEY if pulley else _BENCH)
 
 
-def guess_markers(unused: Sequence[Unused], known: Collection[str]) -> dict[str, str]:
+def guess_markers(unused: Sequence[Heading], known: Collection[str]) -> dict[str, str]:
     """As `guess_measurements`, for a table of markers."""
     return _guesses(unused, known, _MARKERS)
 
 
-def _guesses(unused: Sequence[Unused], known: Collection[str], wanted: _Wanted) -> dict[str, str]:
+def _guesses(unused: Sequence[Heading], known: Collection[str], wanted: _Wanted) -> dict[str, str]:
     """The first column that is not taken, has the dimension and the axis, and the words where any column has them."""
-    count, found, taken = Counter(one.head for one in unused), {}, set(known)
-    columns = [one for one in unused if count[one.head] == 1 and _is_numeric(one.cells)]
+    count, found, taken = Counter(one.text for one in unused), {}, set(known)
+    columns = [one for one in unused if count[one.text] == 1 and _is_numeric(one.cells)]
     for by_words in (True, False):
-        for one in (one for one in columns if one.head not in found):
+        for one in (one for one in columns if one.text not in found):
             name, unit = _words(one.name), _unit(one)
             dimension, axis = _dimension(name, unit), _AXIS.fullmatch(name[-2:])
             for meant in wanted.get(dimension, ()) if dimension else ():
                 of_axis, said = meant[-2:] in ("_x", "_y", "_z") or len(meant) == 1, _said(name, meant)
                 good = meant[-1] == axis[1].lower() if axis and of_axis else not axis and not of_axis
                 if good and meant not in taken and (said if by_words or meant in _PULLED else said is not False):
-                    found[one.head] = _with_unit(meant, unit, dimension)
+                    found[one.text] = _with_unit(meant, unit, dimension)
                     taken.add(meant)
                     break
-    return {one.head: found[one.head] for one in columns if one.head in found}
+    return {one.text: found[one.text] for one in columns if one.text in found}
 
 
 def _words(name: str) -> str:
@@ -116,11 +115,11 @@ def _is_numeric(cells: Sequence[str]) -> bool:
     return bool(filled) and 2 * sum(is_like_number(cell) for cell in filled) >= len(filled)
 
 
-def _unit(one: Unused) -> str | None:
+def _unit(one: Heading) -> str | None:
     """The unit in the head, below it or behind the name; None if there is none."""
-    first, _, behind = _words(one.head).rpartition(" ")
+    first, _, behind = _words(one.text).rpartition(" ")
     others = [one.unit, *(cell.strip("[]() ") for cell in one.cells[:1]), behind if first else None]
-    return name_and_unit(one.head)[1] or next((unit for unit in others if unit and _dimension("", unit)), None)
+    return name_and_unit(one.text)[1] or next((unit for unit in others if unit and _dimension("", unit)), None)
 
 
 def _dimension(name: str, unit: str | None) -> Dimension | None:

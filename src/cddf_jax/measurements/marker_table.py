@@ -59,7 +59,7 @@ def is_marker_table(path: str | os.PathLike[str], columns: Mapping[str, str]) ->
     named = columns_in(path, _KIND, of_markers(columns))
     if "marker" not in named or any(axis in named for axis in _AXES):
         return "marker" in named
-    return "row" in named and not columns_in(path, Kind(column_dimension, "", "", meant=column_meant), columns)
+    return "row" in named and not columns_in(path, Kind(column_meant, column_dimension, "", ""), columns)
 
 
 def read_marker_table(path: str | os.PathLike[str], columns: Mapping[str, str], num_rows: int) -> MarkerTable:
@@ -140,10 +140,10 @@ def _dimension(column: str) -> Dimension | None:
 
 
 _KIND = Kind(
+    _meant,
     _dimension,
     "positions",
     "row, marker, x [mm], y [mm]",
-    meant=_meant,
     labels=("marker",),
     gaps=lambda column: column in _AXES,
 )

@@ -17,6 +17,7 @@ from .columns import column_dimension, column_meant, may_be_read
 from .order import ORDER, check_order, order_of
 
 DRIVEN = ("base_tension", "tendon_displacement", "tip_angle")  # the first that the file has is the path
+_COLUMNS = (*DRIVEN, *ORDER, "trial")
 
 
 class PathFile(NamedTuple):
@@ -76,21 +77,15 @@ def _check(table: Table, driven: str) -> None:
 
 
 def _dimension_of(column: str) -> Dimension | None:
-    if column not in (*DRIVEN, *ORDER, "trial"):
-        raise InputError(f"unknown column {column}; known are {', '.join((*DRIVEN, *ORDER, 'trial'))}")
+    if column not in _COLUMNS:
+        raise InputError(f"unknown column {column}; known are {', '.join(_COLUMNS)}")
     return dimension_of(column) if column in DRIVEN else column_dimension(column)
 
 
 def _meant(name: str) -> str | None:
     displacement = re.sub(r"[\s_-]+", "_", name.strip().lower()) == DRIVEN[1]
-    return DRIVEN[1] if displacement else column_meant(name)
+    column = DRIVEN[1] if displacement else column_meant(name)
+    return column if column in _COLUMNS else None
 
 
-_KIND = Kind(
-    _dimension_of,
-    "steps",
-    "base_tension [N]",
-    meant=_meant,
-    labels=("trial",),
-    gaps=may_be_read,
-)
+_KIND = Kind(_meant, _dimension_of, "steps", "base_tension [N]", labels=("trial",), gaps=may_be_read)

@@ -250,10 +250,10 @@ def read_file(
 
 
 _KIND = Kind(
+    column_meant,
     column_dimension,
     "measurements",
     "base_tension [N], tip_tension [N]",
-    meant=column_meant,
     labels=("trial",),
     gaps=may_be_read,
     words=lambda column: DIRECTIONS if is_direction(column) else {},
