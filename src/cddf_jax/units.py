@@ -83,8 +83,7 @@ _QUANTITY = re.compile(
 )
 _SCALED = re.compile(r"([+-]?\d+\.?\d*(?:[eE][+-]?\d+)?)\s*([A-Za-zµ°%].*)")  # "0.05 mm", of a count
 _WORDS = re.compile(r"(newton|degree|radian|(milli|centi)?met(er|re)|(kilo)?gram|second)s?|deg|rad", re.I)  # any case
-_GRAD = re.compile("grad", re.I)  # degrees in German, but gon or giga-radians to pint
-_PIXELS = re.compile(r"px|pixels?", re.I)  # of a camera; pint knows that of a printer
+_AMBIGUOUS = re.compile("grad|px|pixels?", re.I)  # degrees in German, but gon or giga-radians to pint; of a camera
 _NEWTON_METRES = re.compile(r"([mk]?N)(m?m)")  # in one word, which pint reads as a unit of yarn
 
 
@@ -176,7 +175,7 @@ def _scaled(unit: str) -> tuple[Decimal, str]:
 
 
 def unit_fits(unit: str, dimension: Dimension) -> bool:
-    """Whether a text is a unit of a dimension, or one for which `to_si` has its own message: a mass, pixels."""
+    """Whether a text is a unit of a dimension, or one for which `to_si` has its own message: a mass."""
     if dimension == "dimensionless":
         return False
     unit = _scaled(unit)[1]
@@ -233,15 +232,10 @@ def _size_in_si(unit: str, dimension: Dimension, what: str, got: str, example: s
     if (own := _own_size(unit, dimension)) is not None:
         return own
     (size, base), si = _in_si(unit), _UNITS[dimension].si
-    pixels = dimension == "length" and _PIXELS.fullmatch(unit)
-    if base is not None and base == _in_si(si)[1] and bool(unit) >= bool(si) and not pixels:
+    if base is not None and base == _in_si(si)[1] and bool(unit) >= bool(si):
         return size
-    if pixels:
-        example += ", converted by the scale of the camera"
-    elif dimension == "force" and base == _in_si("kg")[1]:
+    if dimension == "force" and base == _in_si("kg")[1]:
         example += "; a mass is not a force: did you mean gf or kgf, its weight?"
-    elif _GRAD.fullmatch(unit):
-        example += " where it means degrees, or [gon]"
     unknown = f" with the unknown unit {unit!r}" if unit and base is None else ""
     raise InputError(f"{what} needs a unit of {dimension}, {got}{unknown}; write for example {example}")
 
@@ -255,7 +249,7 @@ def _own_size(unit: str, dimension: Dimension) -> Decimal | None:
 @cache
 def _in_si(unit: str) -> tuple[Decimal, object]:
     """The size of a unit in SI base units, and these base units: None for an unknown unit."""
-    if _GRAD.fullmatch(unit):
+    if _AMBIGUOUS.fullmatch(unit):
         return Decimal("nan"), None
     try:
         spelt = unit.lower() if _WORDS.fullmatch(unit) else unit

@@ -127,7 +127,7 @@ CASES = [
     (
         '"7 mm"',
         '{ lines = [["5 mm", "7 mm"], ["0 mm", "7 mm"]] }',
-        "inner_radius: lines: arc lengths must increase, got '0 mm' after '5 mm'",
+        "inner_radius: Piecewise.linear: arc_length must increase, got [0.005, 0.0]",
     ),
     ("[[tendons]]", "[tendons]", "tendons must be one table per tendon; write each below a line [[tendons]]"),
     ("offset =", "side = 2\noffset =", "tendon 1: side must be 1 or -1, got 2"),

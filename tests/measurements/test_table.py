@@ -112,7 +112,7 @@ CASES = [
     (_with("tip_tensoin [N]"), "row 1: unknown column 'tip_tensoin'; did you mean tip_tension? Rename it or"),
     (_with("T_base_0 [N]"), "unknown column 'T_base_0'; did you mean base_tension?"),  # tendons count from 1
     (_with("tip_tension [g]"), "needs a unit of force, got [g]; write for example [N]; a mass is not a force: did you"),
-    (_with("tip_x [px]"), "got [px]; write for example [mm], converted by the scale of the camera"),
+    (_with("tip_x [px]"), "tip_x needs a unit of length, got [px] with the unknown unit 'px'; write for example [mm]"),
     (_with("direction"), "row 2, column direction: must be 1 or -1, got 4.79; write 1 where"),
     (PAIRS.replace("tip_tension", "base_tension"), " and 'base_tension [N]' both are the column base_tension; remove"),
     ("base_tension [N]  tip_tension [N]\n5 4", "is no header (lines with # are notes); write names and units such"),

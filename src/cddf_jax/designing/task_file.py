@@ -88,7 +88,7 @@ def read_task(path: Path) -> DesignTask:
 
 def _task(table: Table, path: Path) -> DesignTask:
     options = [key for key, required in KEYS[""].items() if not required]
-    check_keys("", table, ("robot", "free", "case", "objective"), (*options, "uncertain", "limit"))
+    check_keys(table, ("robot", "free", "case", "objective"), (*options, "uncertain", "limit"))
     body, columns, outside, gravity = read_robot_file(path.parent / _text(table, "robot"))
     if "kinematics" in table:
         body = replace(body, kinematics=table["kinematics"])
@@ -291,4 +291,4 @@ def _each(table: Table, key: str, read: Callable[[Table], Item]) -> list[Item]:
 def _check(name: str, table: Table) -> None:
     """Refuse unknown keys of a table, and require those that must be there."""
     keys = KEYS[name]
-    check_keys("", table, [key for key in keys if keys[key]], [key for key in keys if not keys[key]])
+    check_keys(table, [key for key in keys if keys[key]], [key for key in keys if not keys[key]])

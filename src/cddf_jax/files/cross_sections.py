@@ -25,7 +25,7 @@ import numpy as np
 
 from ..errors import InputError, within
 from ..robot.manipulator import Manipulator, Tendon
-from ..robot.profiles import Polyline, Profile
+from ..robot.profiles import Constant, Piecewise, Polyline, Profile, Spline
 from ..units import shown
 from .csv_table import read_table, table_csv
 from .simplest_profile import simplest_profile
@@ -33,7 +33,6 @@ from .table_header import Kind, short
 
 TOLERANCE = 1e-6  # m
 ROWS = 201  # that are written, besides those at joints
-ZIGZAG = 10  # a tendon whose turns add up to more than this times the range of its directions zigzags
 _COLUMNS = "arc_length, outer_radius, inner_radius, offset_1, offset_2, ..."
 _OFFSET = re.compile("offset(_[1-9][0-9]*)?")
 
@@ -45,7 +44,16 @@ class SectionColumn(NamedTuple):
     arc_length: np.ndarray  # m, of the points in the table
     values: np.ndarray  # m, radii, or distances of a tendon from the neutral axis
     profile: Profile
-    words: str  # the profile that was taken
+
+    @property
+    def words(self) -> str:
+        """The profile that was taken; for an offset of straight lines also how far they turn the tendon, which rubs."""
+        said = _in_words(self.profile)
+        if not (self.name.startswith("offset") and isinstance(self.profile, Polyline)):
+            return said
+        angle = np.arctan(np.diff(self.profile.values) / np.diff(self.profile.arc_length))
+        turned = np.degrees(np.sum(np.abs(np.diff(angle))))
+        return f"{said}, whose kinks turn the tendon by {turned:.3g} deg in all"
 
     def __str__(self) -> str:
         return f"{self.name}: {self.words}"
@@ -93,6 +101,20 @@ def read_cross_sections(path: str | os.PathLike[str], *, tolerance: float = TOLE
 def in_one_line(columns: Sequence[SectionColumn]) -> str:
     """How a table was read, in one line."""
     return f"cross-sections: {'; '.join(map(str, columns))}"
+
+
+def _in_words(profile: Profile) -> str:
+    match profile:
+        case Constant():
+            return f"constant {shown(profile.value, 'length')}"
+        case Spline():
+            return f"a smooth curve, a cubic spline of {len(profile.values)} knots"
+        case Polyline() if len(profile.values) > 2:
+            return f"straight lines through {len(profile.values)} points"
+        case Piecewise():
+            pieces = ", ".join(map(_in_words, profile.pieces))
+            return f"{len(profile.pieces)} pieces that meet in steps: {pieces}"
+    return "a straight line"
 
 
 def cross_sections_csv(manipulator: Manipulator) -> str:
@@ -144,8 +166,7 @@ def _sections(columns: dict[str, np.ndarray], rows: list[int], tolerance: float)
     for column, values in columns.items():
         if column not in names and not np.all(np.isfinite(values)):
             raise InputError(f"row {rows[int(np.argmin(np.isfinite(values)))]}, column {column}: must be finite")
-    outer, inner = (_column(name, s, columns[name], tolerance) for name in ("outer_radius", "inner_radius"))
-    read, tendons = [outer, inner], []
+    read, tendons = [_column(name, s, columns[name], tolerance) for name in ("outer_radius", "inner_radius")], []
     for name in names:
         side, count = _side_and_count(columns[name], rows, name)
         distance = side * columns[name][:count]
@@ -153,25 +174,13 @@ def _sections(columns: dict[str, np.ndarray], rows: list[int], tolerance: float)
             remedy = "fill one of the two cells there"
             raise InputError(f"row {rows[count - 1]}, column {name}: the tendon ends in a step; {remedy}")
         offset = _column(name, s[:count], distance, tolerance)
-        read.append(_with_kinks(offset))
+        read.append(offset)
         tendons.append(Tendon(offset.profile, side, end=None if s[count - 1] == s[-1] else float(s[count - 1])))
-    return CrossSections(float(s[-1]), outer.profile, inner.profile, tuple(tendons), tuple(read))
+    return CrossSections(float(s[-1]), read[0].profile, read[1].profile, tuple(tendons), tuple(read))
 
 
 def _column(name: str, s: np.ndarray, values: np.ndarray, tolerance: float) -> SectionColumn:
-    return SectionColumn(name, s, values, *simplest_profile(s, values, tolerance, name))
-
-
-def _with_kinks(offset: SectionColumn) -> SectionColumn:
-    """The column with a note on how much the kinks of straight lines turn the tendon: every turn adds friction."""
-    if not isinstance(offset.profile, Polyline):
-        return offset
-    s, d = np.asarray(offset.profile.arc_length), np.asarray(offset.profile.values)
-    angle = np.arctan(np.diff(d) / np.diff(s))
-    turned = np.sum(np.abs(np.diff(angle)))
-    words = f"{offset.words}, whose kinks turn the tendon by {np.degrees(turned):.3g} deg in all"
-    zigzag = "they zigzag, and every turn adds friction: a larger tolerance removes noise"
-    return offset._replace(words=f"{words} ({zigzag})" if turned > ZIGZAG * np.ptp(angle) else words)
+    return SectionColumn(name, s, values, simplest_profile(s, values, tolerance, name))
 
 
 def _arc_length(s: np.ndarray, rows: list[int]) -> np.ndarray:

@@ -152,8 +152,8 @@ def read_robot_file(path: str | os.PathLike[str]) -> RobotFile:
     """
     with within(path, ValueError):
         table = read_toml(path, 'length = "140 mm"')
-        outside, _ = (_switch(table, key) for key in ("offsets_outside_wall", "extensible"))
         _check_top(table)
+        outside = _switch(table, "offsets_outside_wall")
         sections, columns = _read_sections(table, Path(path).parent) if _SECTIONS in table else (_sections(table), ())
         manipulator = _manipulator(table, sections).validate(offsets_outside_wall=outside)
         return RobotFile(manipulator, columns, outside, _gravity(table["gravity"]) if "gravity" in table else None)
@@ -226,9 +226,9 @@ def _manipulator(table: _Table, sections: dict[str, Any]) -> Manipulator:
         found["youngs_modulus"] = modulus.value  # a constant modulus stays a number, named "youngs_modulus"
     masses = []
     for i, mass in enumerate(_tables(table, "point_mass", "mass"), 1):
-        where = f"point_mass {i}: "
-        check_keys(where, mass, ("at", "mass"), ())
-        masses.append(PointMass(quantity(mass["at"], "length", f"{where}at"), **_values(mass, 0.0, (), where)))
+        with within(f"point_mass {i}"):
+            check_keys(mass, ("at", "mass"))
+            masses.append(PointMass(quantity(mass["at"], "length", "at"), quantity(mass["mass"], "mass", "mass")))
     return Manipulator(
         **found,
         point_masses=masses,
@@ -261,14 +261,14 @@ def _rest_curvature(value: object, length: float) -> list[Profile]:
     return [read_profile(part, length, f"rest_curvature: {name}", "curvature") for part, name in parts]
 
 
-def _values(table: _Table, length: float, profiles: Sequence[str], where: str = "") -> dict[str, Any]:
+def _values(table: _Table, length: float, profiles: Sequence[str]) -> dict[str, Any]:
     """The profiles and numbers of a table by key, in SI; `length` is that of the body, m."""
     found: dict[str, Any] = {}
     for key, value in table.items():
         if key in profiles:
-            found[key] = read_profile(value, length, f"{where}{key}", dimension_of(key))
+            found[key] = read_profile(value, length, key, dimension_of(key))
         elif key in QUANTITIES and key not in _OTHERS:
-            found[key] = quantity(value, dimension_of(key), f"{where}{key}")
+            found[key] = quantity(value, dimension_of(key), key)
     return found
 
 
@@ -280,16 +280,16 @@ def _check_top(table: _Table) -> None:
         if one in table and other in table:
             raise InputError(f"{one} and {other} are both given; leave one of them out")
     required = [key for key in _REQUIRED if key not in given_elsewhere]
-    check_keys(
-        "", table, required, [key for key in (*_REQUIRED, *_PROFILES, *_NUMBERS, *_OTHERS) if key not in required]
-    )
+    check_keys(table, required, (*_REQUIRED, *_PROFILES, *_NUMBERS, *_OTHERS))
 
 
 def _sections(table: _Table) -> dict[str, Any]:
     """Length and tendons from their keys."""
-    length = quantity(table["length"], "length", "length")
-    tables = enumerate(_tables(table, "tendons", "tendon"), 1)
-    return {"length": length, "tendons": [_tendon(tendon, length, f"tendon {number}: ") for number, tendon in tables]}
+    length, tendons = quantity(table["length"], "length", "length"), []
+    for number, own in enumerate(_tables(table, "tendons", "tendon"), 1):
+        with within(f"tendon {number}", ValueError):
+            tendons.append(_tendon(own, length))
+    return {"length": length, "tendons": tendons}
 
 
 def _tables(table: _Table, key: str, one: str) -> list[_Table]:
@@ -310,11 +310,9 @@ def _read_sections(table: _Table, folder: Path) -> tuple[dict[str, Any], tuple[S
     if len(tables) != len(tendons):
         raise InputError(f"tendons: {len(tables)} tables for {len(tendons)} columns of offsets; write as many, or none")
     for i, own in enumerate(tables):
-        where = f"tendon {i + 1}: "
-        check_keys(where, own, (), ["angle", *(key for key in _TENDON_NUMBERS if key != "end")])
-        values = _values(own, sections.length, _TENDON_PROFILES, where)
-        with within(where.removesuffix(": "), ValueError):
-            tendons[i] = dataclasses.replace(tendons[i], **values)
+        with within(f"tendon {i + 1}", ValueError):
+            check_keys(own, (), ["angle", *(key for key in _TENDON_NUMBERS if key != "end")])
+            tendons[i] = dataclasses.replace(tendons[i], **_values(own, sections.length, _TENDON_PROFILES))
     return sections.body | {"tendons": tendons}, sections.columns
 
 
@@ -328,101 +326,93 @@ def _named(value: object, folder: Path) -> tuple[Path, float]:
     raise InputError(f'{_SECTIONS} must name a CSV file, "body.csv" or {{ file = "body.csv", tolerance = "10 um" }}')
 
 
-def _tendon(table: _Table, length: float, where: str) -> Tendon:
-    check_keys(where, table, ("offset",), ("side", "angle", *_TENDON_NUMBERS))
+def _tendon(table: _Table, length: float) -> Tendon:
+    check_keys(table, ("offset",), ("side", "angle", *_TENDON_NUMBERS))
     side = table.get("side", 1)
     if isinstance(side, bool) or str(side) not in ("1", "+1", "-1"):
-        raise InputError(f"{where}side must be 1 or -1, got {side!r}")
-    values = _values(table, length, _TENDON_PROFILES, where)
-    with within(where.removesuffix(": "), ValueError):
-        return Tendon(side=int(side), **values)
+        raise InputError(f"side must be 1 or -1, got {side!r}")
+    return Tendon(side=int(side), **_values(table, length, _TENDON_PROFILES))
 
 
-def check_keys(where: str, table: _Table, required: Sequence[str], optional: Sequence[str]) -> None:
+def check_keys(table: _Table, required: Sequence[str], others: Sequence[str] = ()) -> None:
     """Refuse unknown keys, and require those that must be there."""
-    known = (*required, *optional)
+    known = tuple(dict.fromkeys((*required, *others)))
     for key in table:
         if key not in known:
             close = get_close_matches(key, known, 1)
             remedy = f"did you mean {close[0]}?" if close else f"known are {', '.join(known)}"
-            raise InputError(f"{where}unknown key {key!r}; {remedy}")
+            raise InputError(f"unknown key {key!r}; {remedy}")
     for key in required:
         if key not in table:
-            raise InputError(f"{where}{key} is missing; add it")
+            raise InputError(f"{key} is missing; add it")
 
 
 # --- writing -------------------------------------------------------------------------------------
 
 
 def _table(manipulator: Manipulator) -> dict[str, object]:
-    length, rest = manipulator.length, manipulator.rest_curvature or ()
-    parts = zip(rest, STRAINS, strict=False)
-    bent = [profile_form(part, length, f"rest_curvature: {name}", "curvature") for part, name in parts]
-    points = manipulator.point_masses
-    masses = [{"at": number_text(point.arc_length), "mass": number_text(point.mass, "mass")} for point in points]
-    return {
-        **_forms(manipulator, ("length", *_PROFILES, *_NUMBERS), length),
-        "kinematics": manipulator.kinematics,
-        **({"extensible": True} if manipulator.extensible else {}),
-        **({"rest_curvature": bent} if bent else {}),
-        **({"point_mass": masses} if masses else {}),
-        "tendons": [
-            ({"side": tendon.side} if tendon.angle is None else {})
-            | _forms(tendon, (*_TENDON_PROFILES, *_TENDON_NUMBERS), length, f"tendon {number}: ")
-            for number, tendon in enumerate(manipulator.tendons, 1)
-        ],
-    }
+    length = manipulator.length
+    masses = [
+        {"at": number_text(point.arc_length), "mass": number_text(point.mass, "mass")}
+        for point in manipulator.point_masses
+    ]
+    with within("rest_curvature"):
+        bent = [profile_form(part, length, "curvature") for part in manipulator.rest_curvature or ()]
+    table = _forms(manipulator, ("length", *_PROFILES, *_NUMBERS), length)
+    table |= {"kinematics": manipulator.kinematics, "extensible": manipulator.extensible}
+    table |= {"rest_curvature": bent, "point_mass": masses, "tendons": []}
+    for number, tendon in enumerate(manipulator.tendons, 1):
+        with within(f"tendon {number}"):
+            side = {"side": tendon.side} if tendon.angle is None else {}
+            table["tendons"].append(side | _forms(tendon, (*_TENDON_PROFILES, *_TENDON_NUMBERS), length))
+    return {key: value for key, value in table.items() if value is not False and value != []}
 
 
-def _forms(owner: Manipulator | Tendon, keys: Iterable[str], length: ArrayLike, where: str = "") -> dict[str, object]:
+def _forms(owner: Manipulator | Tendon, keys: Iterable[str], length: ArrayLike) -> dict[str, Any]:
     """The profiles and numbers that the owner has, by key."""
-    values = {key: getattr(owner, key) for key in keys}
-    return {
-        key: profile_form(as_profile(value), length, f"{where}{key}", dimension_of(key))
-        for key, value in values.items()
-        if value is not None and not (key in _UNLESS_GIVEN and value == _UNLESS_GIVEN[key])
-    }
+    found = {}
+    for key in keys:
+        value = getattr(owner, key)
+        if value is not None and not (key in _UNLESS_GIVEN and value == _UNLESS_GIVEN[key]):
+            with within(key):
+                found[key] = profile_form(as_profile(value), length, dimension_of(key))
+    return found
 
 
 # --- profiles ------------------------------------------------------------------------------------
 
 
-def read_profile(value: object, length: float, where: str, kind: Dimension) -> Profile:
-    """A profile in one of its forms; the length is that of the body, m. Messages begin with `where`."""
-    match value:
-        case str() | int() | float():
-            return Constant(quantity(value, kind, where))
-        case {"base": base, "tip": tip, **rest} if rest.keys() <= {"length"}:
-            ends = quantity(base, kind, f"{where}: base"), quantity(tip, kind, f"{where}: tip")
-            return Linear(*ends, length=quantity(rest["length"], "length", f"{where}: length") if rest else length)
-        case {"ends": list(ends), "pieces": list(pieces), **rest} if not rest:
-            joints = [quantity(end, "length", f"{where}: ends") for end in ends]
-            parts = [read_profile(piece, length, f"{where}: piece {i}", kind) for i, piece in enumerate(pieces, 1)]
-            make = partial(Piecewise, joints, parts)
-        case {"lines": list(points), **rest} if not rest:
-            make = partial(Piecewise.linear, *_points(points, f"{where}: lines", kind))
-        case {"spline": list(points), **rest} if not rest:
-            make = partial(Spline, *_points(points, f"{where}: spline", kind))
-        case _:
-            raise InputError(f"{where} is not a profile, got {value!r}; write {FORMS}")
-    with within(where, ValueError):  # errors of the profile itself, such as a wrong number of values
-        return make()
+def read_profile(value: object, length: float, name: str, kind: Dimension) -> Profile:
+    """A profile in one of its forms; the length is that of the body, m. Messages begin with `name`."""
+    if isinstance(value, str | int | float):
+        return Constant(quantity(value, kind, name))
+    with within(name, ValueError):  # also for errors of the profile itself, such as a wrong number of values
+        match value:
+            case {"base": base, "tip": tip, **rest} if rest.keys() <= {"length"}:
+                ends = quantity(base, kind, "base"), quantity(tip, kind, "tip")
+                return Linear(*ends, length=quantity(rest["length"], "length", "length") if rest else length)
+            case {"ends": list(ends), "pieces": list(pieces), **rest} if not rest:
+                joints = [quantity(end, "length", "ends") for end in ends]
+                parts = [read_profile(own, length, f"piece {i}", kind) for i, own in enumerate(pieces, 1)]
+                return Piecewise(joints, parts)
+            case {"lines": list(points), **rest} if not rest:
+                return Piecewise.linear(*_points(points, "lines", kind))
+            case {"spline": list(points), **rest} if not rest:
+                return Spline(*_points(points, "spline", kind))
+    raise InputError(f"{name} is not a profile, got {value!r}; write {FORMS}")
 
 
-def _points(points: Sequence[object], where: str, kind: Dimension) -> tuple[list[float], list[float]]:
-    knots, values, before = [], [], None
+def _points(points: Sequence[object], name: str, kind: Dimension) -> tuple[list[float], list[float]]:
+    knots, values = [], []
     for point in points:
         if not isinstance(point, list) or len(point) != 2:
-            raise InputError(f'{where} holds pairs [arc length, value], got {point!r}; write ["60 mm", "15 mm"]')
-        knots.append(quantity(point[0], "length", where))
-        values.append(quantity(point[1], kind, where))
-        if len(knots) > 1 and knots[-1] <= knots[-2]:
-            raise InputError(f"{where}: arc lengths must increase, got {point[0]!r} after {before!r}")
-        before = point[0]
+            raise InputError(f'{name} holds pairs [arc length, value], got {point!r}; write ["60 mm", "15 mm"]')
+        knots.append(quantity(point[0], "length", name))
+        values.append(quantity(point[1], kind, name))
     return knots, values
 
 
-def profile_form(profile: Profile, length: ArrayLike, where: str, kind: Dimension) -> object:
+def profile_form(profile: Profile, length: ArrayLike, kind: Dimension) -> object:
     """A profile in one of the forms that `read_profile` reads."""
     value = partial(number_text, kind=kind)
     match profile:
@@ -432,16 +422,14 @@ def profile_form(profile: Profile, length: ArrayLike, where: str, kind: Dimensio
             own = {} if profile.length == length else {"length": number_text(profile.length)}
             return {"base": value(profile.base), "tip": value(profile.tip), **own}
         case Piecewise():
-            pieces = [
-                profile_form(piece, length, f"{where}: piece {i}", kind) for i, piece in enumerate(profile.pieces, 1)
-            ]
+            pieces = [profile_form(piece, length, kind) for piece in profile.pieces]
             return {"ends": [number_text(end) for end in profile.ends], "pieces": pieces}
         case Polyline() | Spline():
             points = zip(profile.arc_length, profile.values, strict=True)
             form = "lines" if isinstance(profile, Polyline) else "spline"
             return {form: [[number_text(s), value(v)] for s, v in points]}
     raise InputError(
-        f"{where}: a profile of type {type(profile).__name__} cannot be written to a file; "
+        f"a profile of type {type(profile).__name__} cannot be written to a file; "
         "sample it into a Spline or Piecewise.linear"
     )
 

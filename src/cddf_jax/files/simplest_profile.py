@@ -1,11 +1,10 @@
-"""The simplest profile that passes all points along a body at a tolerance, with its description.
+"""The simplest profile that passes all points along a body at a tolerance.
 
 Between two points it is a straight line, unless a smooth curve through the points stays between their values.
 """
 
 from collections.abc import Callable
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 
@@ -18,14 +17,7 @@ MOST_LINES = 1000
 BETWEEN = 257  # places between two points at which a smooth curve is looked at
 
 
-class Taken(NamedTuple):
-    """The profile that was taken, and its description."""
-
-    profile: Profile
-    words: str
-
-
-def simplest_profile(arc_length: np.ndarray, values: np.ndarray, tolerance: float, name: str) -> Taken:
+def simplest_profile(arc_length: np.ndarray, values: np.ndarray, tolerance: float, name: str) -> Profile:
     """A number, a straight line, a cubic spline or a chain of straight lines; a step at an arc length given twice.
 
     A spline is taken if it needs no more knots than the chain has points, stays within the values of neighbouring
@@ -42,9 +34,7 @@ def simplest_profile(arc_length: np.ndarray, values: np.ndarray, tolerance: floa
     pieces = [_straight(*part, tolerance) or _curved(*part, tolerance, name) for part in parts]
     if len(pieces) == 1:
         return pieces[0]
-    profile = Piecewise([float(s[-1]) for s, _ in parts[:-1]], [piece.profile for piece in pieces])
-    words = ", ".join(piece.words for piece in pieces)
-    return Taken(profile, f"{len(pieces)} pieces that meet in steps: {words}")
+    return Piecewise([float(s[-1]) for s, _ in parts[:-1]], pieces)
 
 
 def _between_steps(s: np.ndarray, values: np.ndarray, tolerance: float) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -58,33 +48,29 @@ def _between_steps(s: np.ndarray, values: np.ndarray, tolerance: float) -> list[
     return [(s[part], values[part]) for part in kept]
 
 
-def _straight(s: np.ndarray, values: np.ndarray, tolerance: float) -> Taken | None:
+def _straight(s: np.ndarray, values: np.ndarray, tolerance: float) -> Profile | None:
     """A number or one straight line, if that is near enough."""
     if np.ptp(values) <= 2 * tolerance:
-        value = 0.5 * (np.min(values) + np.max(values))
-        return Taken(Constant(value), f"constant {shown(value, 'length')}")
+        return Constant(0.5 * (np.min(values) + np.max(values)))
     slope, base = np.polyfit(s / s[-1], values, 1)
     if np.max(np.abs(base + slope * s / s[-1] - values)) > tolerance:
         return None
     ends = s[[0, -1]]
-    line = Piecewise.linear(ends, base + slope * ends / s[-1]) if s[0] > 0 else Linear(base, base + slope, s[-1])
-    return Taken(line, "a straight line")
+    return Piecewise.linear(ends, base + slope * ends / s[-1]) if s[0] > 0 else Linear(base, base + slope, s[-1])
 
 
-def _curved(s: np.ndarray, values: np.ndarray, tolerance: float, name: str) -> Taken:
+def _curved(s: np.ndarray, values: np.ndarray, tolerance: float, name: str) -> Profile:
     """A spline or a chain of straight lines."""
     corners = _corners(s, values, tolerance)
     spline = _spline(s, values, tolerance, len(corners))
     if spline is not None:
-        return Taken(spline, f"a smooth curve, a cubic spline of {len(spline.values)} knots")
+        return spline
     if len(corners) > MOST_LINES + 1:
         raise InputError(
             f"{name}: neither {MOST_KNOTS} knots of a spline nor {MOST_LINES} straight lines pass its points at "
             f"{shown(tolerance, 'length')}; give a greater tolerance, or smooth the points"
         )
-    of_all = "" if len(corners) == len(s) else f" of {len(s)}"
-    words = f"straight lines through {len(corners)}{of_all} points"
-    return Taken(Piecewise.linear(s[corners], values[corners]), words)
+    return Piecewise.linear(s[corners], values[corners])
 
 
 def _corners(s: np.ndarray, values: np.ndarray, tolerance: float) -> list[int]:
