@@ -109,7 +109,7 @@ def test_columns_by_their_names_in_the_file(tmp_path):
     table = read(tmp_path, text, meant)
     assert table.checksum == read(tmp_path, PLAIN, name="plain.csv").checksum
     assert "read as: 'F1 [N]' base_tension [N], 'F2' tip_tension [N]" in table.read_as[1]
-    with pytest.raises(InputError, match=r"bench.csv: has no column 'F3', or nothing in it; use"):
+    with pytest.raises(InputError, match=r"bench.csv: has no column 'F3'; use"):
         read(tmp_path, text, meant | {"F3": "tip_angle [deg]"})
     with pytest.raises(InputError, match=r"unknown column 'tension \[N\]'; did you mean tip_tension"):
         read(tmp_path, text, meant | {"t": "tension [N]"})
@@ -217,15 +217,15 @@ def test_further_readings_are_named(tmp_path):
     assert "tip_angle" in read(tmp_path, text, options_in(read_as[-1]))
 
 
-def test_a_column_that_was_asked_for_and_cannot_be_used_is_an_error(tmp_path):
-    cells = write(tmp_path, "base_tension [N],tip_tension [N],A [deg],A [rad]\n5,4,,\n")
-    for asked in ("A [deg]=tip_angle [deg]", "B=tip_angle [deg]", "C="):
+def test_a_column_that_was_asked_for_and_is_not_there_is_an_error(tmp_path):
+    cells = write(tmp_path, "base_tension [N],tip_tension [N],A [deg],A [rad]\n5,4,1,2\n")
+    for asked in ("B=tip_angle [deg]", "C="):
         name = asked.partition("=")[0]
-        with pytest.raises(InputError, match=re.escape(f"bench.csv: no column {name!r}, or nothing in it; check")):
+        with pytest.raises(InputError, match=re.escape(f"bench.csv: no column {name!r}; check")):
             read_data([cells], [asked])
-    with pytest.raises(InputError, match="no column 'A', or nothing in it; check the name"):
+    with pytest.raises(InputError, match="no column 'A'; check the name"):
         read_data([cells], ["A [deg]=", "A [rad]=", "A=tip_angle [deg]"])
-    with pytest.raises(InputError, match="no file of data: no column 'A', or nothing in it; check the name"):
+    with pytest.raises(InputError, match="no file of data: no column 'A'; check the name"):
         read_data([], ["A=tip_angle [deg]"])
 
 

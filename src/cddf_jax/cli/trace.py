@@ -9,7 +9,7 @@ from ..progress import stage
 from . import options
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from ..units import Dimension
 
@@ -91,7 +91,7 @@ def read_paths(
     columns = options.read_columns(column)
     every = [read_path(text, noise, columns) for text in texts]
     for name in columns:
-        if all(name in missing for _, _, missing in every):
+        if not any(name in described for _, _, described in every):
             raise InputError(f"--path {', '.join(texts)}: no path takes a column {name!r}; check the name")
     read = one_for_each_tendon("--path", every, count)
     paths: list[list[float]] = [values for values, _, _ in read]
@@ -112,8 +112,8 @@ def read_paths(
 
 def read_path(
     text: str, noise: str | None = None, columns: "Mapping[str, str] | None" = None
-) -> "tuple[list[float], Dimension, Collection[str]]":
-    """A path as typed or in a file, SI, what it measures, and which of `columns` it does not have.
+) -> "tuple[list[float], Dimension, set[str]]":
+    """A path as typed or in a file, SI, what it measures, and which of `columns` it has.
 
     How a file was read is noted on standard error.
     """
@@ -123,7 +123,7 @@ def read_path(
     if text.strip().lower().endswith(TABLES):
         found = read_path_file(text.strip(), columns)
         options.note(f"{text.strip()}: {line}" for line in found.read_as)
-        values, driven, missing = found.values, found.dimension, found.missing
+        values, driven, described = found.values, found.dimension, found.described
         if noise is not None and driven != "force":
             raise InputError(f"--noise {noise}: is for base tensions, and {text.strip()} has none; leave it out")
         if noise is not None:
@@ -132,13 +132,13 @@ def read_path(
         raise InputError(f"--noise {noise}: is for a file only; leave it out, or give a file with --path")
     else:
         values, driven = series(text, ("force", "length", "angle"), "--path")
-        missing = columns or ()
+        described = set()
     for step, value in enumerate(values, 1):
         if driven == "force" and value < 0:
             raise InputError(
                 f"--path, step {step}: a tendon cannot push, got {written(value, 'force')}; give 0 N or more"
             )
-    return values, driven, missing
+    return values, driven, described
 
 
 def _steady(values: list[float], noise: str) -> list[float]:

@@ -35,7 +35,7 @@ class Table(NamedTuple):
     notes: tuple[str, ...]  # the text above the header
     read_as: tuple[str, ...]  # how the file was understood, if it is not plain
     unused: tuple[Heading, ...]  # columns that the reader does not know, without those that the caller leaves out
-    missing: tuple[str, ...]  # names of columns that the caller described and the file does not have
+    described: set[str]  # names of columns that the caller described and the file has
 
 
 def read_table(path: str | os.PathLike[str], kind: Kind, columns: Mapping[str, str] | None = None) -> Table:
@@ -116,8 +116,8 @@ def _read(
     )
     read_as = (*source.read_as, *_reading_notes(headings, unused, words_read))
     unknown = tuple(heading for heading in unused if not {heading.text, heading.name} & set(given))
-    missing = set(given) - {heading.text if heading.text in given else heading.name for heading in headings}
-    return Table(columns, source.row, at, source.notes, read_as, unknown, tuple(missing))
+    described = {heading.text if heading.text in given else heading.name for heading in headings} & set(given)
+    return Table(columns, source.row, at, source.notes, read_as, unknown, described)
 
 
 def _values(heading: Heading, texts: list[str], rows: list[int], kind: Kind, source: Source) -> np.ndarray:

@@ -43,10 +43,10 @@ class MarkerTable(NamedTuple):
     columns: dict[str, np.ndarray]  # "x@head", ..., one number for each row of the measurements, m; NaN: not there
     places: dict[str, Marker]  # of the markers whose positions it gives
     read_as: tuple[str, ...]  # how the file was understood
-    missing: tuple[str, ...]  # names of columns that the caller described, and that are empty or not in the file
+    described: set[str]  # names of columns that the caller described and the file has
 
 
-NO_MARKERS = MarkerTable({}, {}, (), ())
+NO_MARKERS = MarkerTable({}, {}, (), set())
 
 
 def of_markers(columns: Mapping[str, str]) -> dict[str, str]:
@@ -96,9 +96,7 @@ def read_marker_table(path: str | os.PathLike[str], columns: Mapping[str, str], 
     file = Path(path).name
     said = [f"{file}: {line}" for line in (*found.read_as, *hint(guesses))]
     said.append(f"markers of {file}: {', '.join(dict.fromkeys(names))}, in {len(set(at.tolist()))} of {num_rows} rows")
-    empty = [axis for axis in _AXES if axis in found.columns and np.all(np.isnan(found.columns[axis]))]
-    unread = (name for name, meant in columns.items() if _meant(name_and_unit(meant)[0]) in empty)
-    return MarkerTable(read, places, tuple(said), (*found.missing, *unread))
+    return MarkerTable(read, places, tuple(said), found.described)
 
 
 def _rows(found: Table, num_rows: int) -> np.ndarray:

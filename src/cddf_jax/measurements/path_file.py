@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import InputError, within
 from ..files.csv_table import Table, read_table
-from ..files.table_header import Kind, name_and_unit
+from ..files.table_header import Kind
 from ..quantities import dimension_of
 from ..units import Dimension, written
 from .column_guesses import advice
@@ -26,7 +26,7 @@ class PathFile(NamedTuple):
     values: list[float]  # SI
     dimension: Dimension
     read_as: tuple[str, ...]  # how the file was read
-    missing: tuple[str, ...]  # names of columns that the caller described, and that are not there or not the path
+    described: set[str]  # names of columns that the caller described and the file has
 
 
 def read_path_file(path: str | os.PathLike[str], columns: Mapping[str, str] | None = None) -> PathFile:
@@ -57,8 +57,7 @@ def read_path_file(path: str | os.PathLike[str], columns: Mapping[str, str] | No
         said = check_order(table.columns, table.rows)
         said += [f"the path is {driven}; not used: {', '.join(others)}"] if others else []
     values = table.columns[driven][order_of(table.columns)]
-    unused = (name for name, meant in (columns or {}).items() if _meant(name_and_unit(meant)[0]) in others)
-    return PathFile(values.tolist(), dimension_of(driven), (*table.read_as, *said), (*table.missing, *unused))
+    return PathFile(values.tolist(), dimension_of(driven), (*table.read_as, *said), table.described)
 
 
 def _check(table: Table, driven: str) -> None:

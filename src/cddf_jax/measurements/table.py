@@ -55,7 +55,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import InputError, in_utf8, within
 from ..files.csv_table import Table, read_table
-from ..files.table_header import Kind, heading_of, short
+from ..files.table_header import Kind, short
 from ..files.times import seconds_of
 from ..numerics.given_numbers import check_numbers
 from ..units import written
@@ -218,16 +218,16 @@ def read_measurements(path: str | os.PathLike[str], columns: Mapping[str, str] |
     Raises:
         InputError: names the file, row (line), column, value and remedy.
     """
-    table, missing = read_file(path, columns or {})
-    if missing:
-        raise InputError(f"{path}: has no column {missing[0]!r}, or nothing in it; use the heads of its header row")
+    table, described = read_file(path, columns or {})
+    if missing := [name for name in columns or {} if name not in described]:
+        raise InputError(f"{path}: has no column {missing[0]!r}; use the heads of its header row")
     return table
 
 
 def read_file(
     path: str | os.PathLike[str], columns: Mapping[str, str], markers: str | os.PathLike[str] | None = None
-) -> tuple[Measurements, tuple[str, ...]]:
-    """The measurements in a file and its table of markers in another, and which of `columns` are empty or not there."""
+) -> tuple[Measurements, set[str]]:
+    """The measurements in a file and its table of markers in another, and which of `columns` these have."""
     theirs = {} if markers is None else of_markers(columns)
     own = {name: meant for name, meant in columns.items() if name not in theirs or not meant.strip()}
     found = read_table(path, _KIND, own)
@@ -240,13 +240,7 @@ def read_file(
         every = found.columns | more.columns
         said = (*found.read_as, *further, *more.read_as)
         table = _table(in_utf8(Path(path).name), every, notes=found.notes, rows=found.rows, read_as=said)
-    unread = [name for name, meant in own.items() if heading_of(meant, _KIND, {}).column in table.unread]
-    missing = tuple(
-        name
-        for name in columns
-        if (name not in own or name in (*found.missing, *unread)) and (name not in theirs or name in more.missing)
-    )
-    return replace(table, markers=more.places), missing
+    return replace(table, markers=more.places), found.described | more.described
 
 
 _KIND = Kind(

@@ -29,9 +29,9 @@ def read_tables(
     """
     found = [read_file(path, columns or {}, markers) for path, markers in _with_markers(paths, columns or {})]
     for name in columns or {}:
-        if all(name in missing for _, missing in found):
+        if not any(name in described for _, described in found):
             where = ", ".join(table.name for table, _ in found) or "no file of data"
-            raise InputError(f"{where}: no column {name!r}, or nothing in it; check the name")
+            raise InputError(f"{where}: no column {name!r}; check the name")
     return trials_together([table for table, _ in found])
 
 
