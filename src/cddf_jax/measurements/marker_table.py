@@ -30,7 +30,6 @@ from ..files.csv_table import Table, columns_in, read_table
 from ..files.table_header import Kind, name_and_unit
 from ..units import Dimension, shown
 from .column_guesses import advice, guess_markers, hint
-from .columns import column_dimension, column_meant
 from .markers import Marker
 
 _AXES, _OFFSETS = ("x", "y", "z"), ("offset_x", "offset_y", "offset_z")
@@ -55,11 +54,9 @@ def of_markers(columns: Mapping[str, str]) -> dict[str, str]:
 
 
 def is_marker_table(path: str | os.PathLike[str], columns: Mapping[str, str]) -> bool:
-    """Whether the header of a file has a column `marker`, and a position or a row but no measurement."""
+    """Whether the header of a file has a column `marker`, and with it a position or a row."""
     named = columns_in(path, _KIND, of_markers(columns))
-    if "marker" not in named or any(axis in named for axis in _AXES):
-        return "marker" in named
-    return "row" in named and not columns_in(path, Kind(column_meant, column_dimension, "", ""), columns)
+    return "marker" in named and not named.isdisjoint(("row", *_AXES))
 
 
 def read_marker_table(path: str | os.PathLike[str], columns: Mapping[str, str], num_rows: int) -> MarkerTable:

@@ -295,28 +295,20 @@ def _table(
 
 
 def _gaps(columns: Mapping[str, np.ndarray], rows: np.ndarray) -> tuple[tuple[str, ...], np.ndarray, list[str]]:
-    """Columns without any reading, the rows that have a reading, and in words what is missing."""
+    """Columns without any reading, the rows that are kept, and in words what is left out."""
     missing = {column: np.isnan(values) for column, values in columns.items() if is_reading(column, columns)}
     unread = tuple(column for column, where in missing.items() if np.all(where))
     if missing and len(missing) == len(unread):
         raise InputError(f"no row holds a reading ({', '.join(missing)}); add the measurements")
-    read = {column: where for column, where in missing.items() if column not in unread}
-    empty = np.all([*read.values(), np.full(len(rows), bool(read))], axis=0)
     said = [f"{column} holds no number and is not used" for column in unread]
-    if np.any(empty) and any(column in columns for column in ORDER):
-        said.append(f"rows without a reading are steps of the path all the same: {_counted(empty, rows)}")
-        empty = np.zeros_like(empty)
+    read = [where for column, where in missing.items() if column not in unread]
+    empty = np.all(read, axis=0) if read else np.zeros(len(rows), bool)
+    if any(column in columns for column in ORDER):
+        empty[:] = False  # such a row is a step of the path all the same
     if np.any(empty):
-        said.append(f"rows without a reading are left out: {_counted(empty, rows)}")
-    for column, where in read.items():
-        if np.any(where & ~empty):
-            said.append(f"{column} is missing in {_counted(where & ~empty, rows)}; the other readings of a row count")
+        first, count = rows[int(np.argmax(empty))], np.count_nonzero(empty)
+        said.append(f"rows without a reading are left out: {count} of {len(rows)} rows (row {first} first)")
     return unread, ~empty, said
-
-
-def _counted(which: np.ndarray, rows: np.ndarray) -> str:
-    first, count = rows[int(np.argmax(which))], np.count_nonzero(which)
-    return f"{count} of {len(rows)} rows (row {first} first)"
 
 
 def _array(column: str, values: ArrayLike) -> np.ndarray:

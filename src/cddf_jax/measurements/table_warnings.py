@@ -60,14 +60,12 @@ def _starts_anew(table: Measurements, column: str) -> str:
     """Rows at the lowest level of their trial, after twice that level or more, before a new pull: perhaps from rest."""
     if column != "base_tension":
         return ""
-    base, trial = table[column][table.order], table.trial[table.order]
-    least = np.full(trial.max() + 1, np.inf)
-    np.minimum.at(least, trial, base)
-    slack, alike = ONE_LEVEL * base.max(), np.diff(trial) == 0
-    before, after = np.append(0.0, np.where(alike, base[:-1], 0.0)), np.append(np.where(alike, base[1:], 0.0), 0.0)
-    low = (base > slack) & (base <= least[trial] + slack) & (before > 2 * base + slack) & (after > base + slack)
-    which, above = np.zeros(len(table), bool), np.zeros(len(table))
-    which[table.order], above[table.order] = low, before
+    which, above, slack = np.zeros(len(table), bool), np.zeros(len(table)), ONE_LEVEL * table[column].max()
+    for rows in table.trials:
+        before, own, after = (table[column][rows][part] for part in (slice(-2), slice(1, -1), slice(2, None)))
+        low = (own > slack) & (own <= table[column][rows].min() + slack)
+        which[rows[1:-1]] = low & (before > 2 * own + slack) & (after > own + slack)
+        above[rows[1:-1]] = before
     what = f"{column} back at its lowest level, from which it rises again"
     remedy = (
         "they count as released to this level; if the tendon was fully released in between, give each pull a trial of "
@@ -82,15 +80,11 @@ def _coming_down(table: Measurements, column: str) -> str:
     several = len(set_by(table.columns)) > 1 or any(map(force_column, table.columns))
     if not column.startswith("base_tension") or (stated in table and several):
         return ""
-    order = table.order
-    base, trial = table[column][order], table.trial[order]
-    slack, least = ONE_LEVEL * base.max(), np.full(trial.max() + 1, np.inf)
-    np.minimum.at(least, trial, base)
-    falls = np.append(False, (np.diff(base) < -slack) & (np.diff(trial) == 0))
-    down = np.zeros(len(table), bool)
-    down[order] = falls & (base > least[trial] + slack)
-    before = np.empty(len(table))
-    before[order] = np.append(0.0, base[:-1])
+    down, before, slack = np.zeros(len(table), bool), np.zeros(len(table)), ONE_LEVEL * table[column].max()
+    for rows in table.trials:
+        own = table[column][rows]
+        down[rows[1:]] = (np.diff(own) < -slack) & (own[1:] > own.min() + slack)
+        before[rows[1:]] = own[:-1]
     what = f"{column} below that of the row before"
     remedy = (
         f"without a history the whole tendon slides as {stated} says, or is pulled from rest. Give the rows a history "
