@@ -114,13 +114,3 @@ def test_a_spreadsheet_with_times(tmp_path):
             book.active.append(row)
         book.save(tmp_path / "loop.xlsx")
         assert read_measurements(tmp_path / "loop.xlsx")["time"].tolist() == seconds
-
-
-def test_a_column_that_may_be_the_time_is_pointed_out_where_it_matters(tmp_path):
-    heads = {"t [ms]": True, "Zeit": True, "Elapsed (s)": True, "Timestamp": True, "Temperature [K]": False}
-    for head, told in heads.items():
-        path, option = path_of(tmp_path, head, range(4)), f'--column "{head}=time" gives them a history'
-        assert any(option in line for line in read_measurements(path).read_as) == told
-    path = path_of(tmp_path, "t [ms]", range(4))
-    assert not any("history" in line for line in read_measurements(path, {"t [ms]": ""}).read_as)  # left out on purpose
-    assert read_measurements(path, {"t [ms]": "time"})["time"].tolist() == [0, 0.001, 0.002, 0.003]

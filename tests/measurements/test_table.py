@@ -109,7 +109,7 @@ CASES = [
     (_with("tip_tension"), "row 1: the column tip_tension needs a unit of force, got none;"),
     (_with("tip_x [N]"), "tip_x needs a unit of length, got [N]; write for example [mm]"),
     (_with("tip_tension [Nn]"), "got [Nn] with the unknown unit 'Nn'; write for example [N]"),
-    (_with("tip_tensoin [N]"), "row 1: unknown column 'tip_tensoin'; did you mean tip_tension? Rename it or"),
+    (_with("tip_tensoin [N]"), "row 1: unknown column 'tip_tensoin'; did you mean tip_tension? Rename it, or"),
     (_with("T_base_0 [N]"), "unknown column 'T_base_0'; did you mean base_tension?"),  # tendons count from 1
     (_with("tip_tension [g]"), "needs a unit of force, got [g]; write for example [N]; a mass is not a force: did you"),
     (_with("tip_x [px]"), "tip_x needs a unit of length, got [px] with the unknown unit 'px'; write for example [mm]"),

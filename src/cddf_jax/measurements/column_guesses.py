@@ -10,7 +10,7 @@ from collections.abc import Collection, Mapping, Sequence
 
 from ..files.table_header import Heading, is_like_number, name_and_unit, short
 from ..units import Dimension, preferred, unit_fits
-from .columns import PULLEY, column_dimension, column_resembled
+from .columns import PULLEY, column_dimension
 from .readings import of_tendons
 
 _Wanted = Mapping[Dimension, Sequence[str]]  # columns by what they measure, the usual one first
@@ -67,14 +67,8 @@ def hint(guesses: Mapping[str, str]) -> list[str]:
 def guess_measurements(unused: Sequence[Heading], known: Collection[str]) -> dict[str, str]:
     """By head, what columns of a table of measurements may be, such as "tip_x [mm]"; `known` are its other columns."""
     pulley = set(known) & set(PULLEY) or any(_WRAP.search(one.text) for one in unused)
-    misspelt = {one.text: meant for one in unused if (meant := column_resembled(one.name))}
-    guessed = [one for one in unused if one.text not in misspelt and not _NEITHER_SET_NOR_READ.search(_words(one.text))]
-    likely = {
-        one.text: _with_unit(misspelt[one.text], _unit(one), column_dimension(misspelt[one.text]))
-        for one in unused
-        if one.text in misspelt
-    }
-    return likely | _guesses(guessed, {*known, *misspelt.values()}, _PULLEY if pulley else _BENCH)
+    guessed = [one for one in unused if not _NEITHER_SET_NOR_READ.search(_words(one.text))]
+    return _guesses(guessed, known, _PULLEY if pulley else _BENCH)
 
 
 def guess_markers(unused: Sequence[Heading], known: Collection[str]) -> dict[str, str]:

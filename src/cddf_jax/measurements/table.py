@@ -74,7 +74,7 @@ from .columns import (
 from .marker_table import NO_MARKERS, of_markers, read_marker_table
 from .markers import Marker
 from .order import ORDER, check_order, order_of
-from .readings import kind_of, set_by
+from .readings import kind_of
 
 _FROM_CELLS = ("base_tension", "tip_tension", "pulling_tension")
 _NEVER_NEGATIVE = (*_FROM_CELLS, *PULLEY)
@@ -327,29 +327,21 @@ def _array(column: str, values: ArrayLike) -> np.ndarray:
 
 
 def _check_heads(found: Table) -> list[str]:
-    """Refuse a file that lacks a column, or has a misspelt one; else hints on further readings and a time."""
+    """Refuse a file that lacks a column, or has a misspelt one; else hints on further readings."""
     unused, where = found.unused, f"row {found.header}"
+    for one in unused:
+        if meant := column_resembled(one.name):
+            what = f"unknown column {short(one.name)}; did you mean {meant}?"
+            ways = f"say so by {option(one.name, meant)}, or leave it out by {option(one.name, '')}"
+            raise InputError(f"{what} Rename it, or {ways}", where=where)
     guesses = guess_measurements(unused, found.columns)
-    misspelt = {one.name: meant for one in unused if (meant := column_resembled(one.name))}
-    if misspelt:
-        give = " ".join(option(*guess) for guess in guesses.items())
-        leave = " ".join(option(name, "") for name in misspelt)
-        remedy = f"Rename it{f' or give {give}' if give else ''}, or leave it out by {leave}"
-        what = f"unknown column {', '.join(map(short, misspelt))}; did you mean {', '.join(misspelt.values())}?"
-        raise InputError(f"{what} {remedy}", where=where)
     if unused and (missing := _missing(found.columns)):
         what = f"the column {' and '.join(missing)} is missing; say what the columns are, or add it"
         guessed = {meant.partition(" ")[0] for meant in guesses.values()}
         remedy = advice(unused, guesses, _missing(guessed.union(found.columns)))
         raise InputError(what, where=where, remedy=remedy)
     _check_columns(found.columns)
-    falls = any(np.any(np.diff(found.columns[column]) < 0) for column in set_by(found.columns))
-    may_be = {head: meant.partition(" ")[0] for head, meant in guesses.items()}
-    times = [head for head, column in may_be.items() if column == "time" and falls and "step" not in found.columns]
-    return [
-        *hint({head: meant for head, meant in guesses.items() if may_be_read(may_be[head])}),
-        *(f"if {short(head)} is the time of the rows, {option(head, 'time')} gives them a history" for head in times),
-    ]
+    return hint({head: meant for head, meant in guesses.items() if may_be_read(meant.partition(" ")[0])})
 
 
 def _missing(columns: Iterable[str]) -> list[str]:
