@@ -64,6 +64,7 @@ def spreadsheet(**sheets):
          "10,9.19\n20,17.02\n", 7),
         ("t;base_tension;tip_tension [N]\ns;[N];\n0;5;4,79\n1;10;9,19\n2;20;17,02\n", 3),
         (LABVIEW + "X_Value\tT_base [N]\tT_tip [N]\tComment\n0,0\t5\t4,79\n0,1\t10\t9,19\n0,2\t20\t17,02\n", 13),
+        ("# Rig 3\n# " + PLAIN, 3),  # as NumPy's savetxt writes it
         ("Rig: 3, tendon: steel\nMeasured by, A. N. Other\n\n" + PLAIN, 5),
         (",base_tension [N],tip_tension [N]\n0,5,4.79\n1,10,9.19\n2,20,17.02\n", 2),  # as pandas writes an index
         ('base_tension [N],"tip_tension\n[N]",note\n5,4.79,"wet,\nand 5 °C"\n10,9.19,\n20,17.02,\n', 3),

@@ -71,17 +71,20 @@ def _of_text(content: bytes, recognised: Recognised) -> Source | None:
     filled = [i for i, line in enumerate(plain) if line != "\n"]
     if not filled:
         return None
-    looked_at = filled[:_LOOKED_AT]
-    tables = {mark: [(i, [cell.strip(_BLANK) for cell in lines[i].split(mark)]) for i in looked_at] for mark in marks}
+    note = [i for i in range(filled[0]) if lines[i].strip(_BLANK)][-1:]  # a header behind #, as NumPy's savetxt writes
+    looked_at = note + filled[:_LOOKED_AT]
+    tables = {
+        mark: [(i, [cell.strip(_BLANK + "#") for cell in lines[i].split(mark)]) for i in looked_at] for mark in marks
+    }
     known = {mark: _known_header(rows, recognised) for mark, rows in tables.items()}
-    words = {mark: _above_numbers(rows) for mark, rows in tables.items()}
+    words = {mark: _above_numbers(rows[len(note) :]) for mark, rows in tables.items()}
     of_names = max(marks, key=lambda mark: (known[mark][0], mark in lines[looked_at[known[mark][1]]]))
     mark = of_names if known[of_names][0] else max(marks, key=lambda mark: words[mark][0])
-    at = looked_at[known[mark][1] if known[mark][0] else words[mark][1]]
+    at = looked_at[known[mark][1]] if known[mark][0] else filled[words[mark][1]]
     notes = [line.strip(_BLANK).lstrip("#").strip() for line in lines[:at] if line.strip(_BLANK)]
     if filled[0] < at:
         read_as.append(f"the header is row {at + 1}; the text above it from row {filled[0] + 1} on is taken for notes")
-    rows = _rows(plain[at:], at, mark)
+    rows = _rows([lines[at].lstrip(" #"), *plain[at + 1 :]], at, mark)
     return Source(at + 1, next(rows)[1], rows, tuple(notes), mark != ",", read_as)
 
 
