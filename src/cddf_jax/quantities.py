@@ -21,7 +21,6 @@ class Quantity(NamedTuple):
     description: str = ""  # in a few words, if the name does not say enough
     title: str = ""  # at an axis or in a table, if it is not the name in words
     symbol: str = ""  # in formulas, as Matplotlib takes it
-    in_percent: bool = False  # whether figures show it in per cent
 
     @property
     def words(self) -> str:
@@ -40,9 +39,7 @@ class Quantity(NamedTuple):
 
     @property
     def shown(self) -> tuple[float, str]:
-        """The factor from SI to the unit in figures, and that unit, "" for a plain number."""
-        if self.in_percent:
-            return 100.0, "%"
+        """The factor from SI to the unit in figures, and that unit: "%" of a strain, "" for a plain number."""
         return (1.0, "") if self.dimension is None else preferred(self.dimension)
 
     @property
@@ -99,7 +96,7 @@ _ALL = (
     Quantity("gravity", "acceleration"),
     # its equilibrium
     Quantity("tip_tension", "force"),
-    Quantity("tension_loss", "dimensionless", "loss of tension", in_percent=True),
+    Quantity("tension_loss", "strain", "loss of tension"),
     Quantity("displacement", "length"),
     Quantity("tendon_displacement", "length"),
     Quantity("tip_angle", "angle", "heading of the tip"),
@@ -127,7 +124,7 @@ _ALL = (
     Quantity("frame", "dimensionless", "axes of the cross-section, in columns"),
     Quantity("path", "length", "place of the tendon"),
     Quantity("position", "length"),
-    Quantity("strain", "dimensionless", symbol=r"$R|\kappa|$", in_percent=True),
+    Quantity("strain", "strain", symbol=r"$R|\kappa|$"),
     Quantity("crossing", "dimensionless", "curvature times offset; 1 where fibres cross"),
     Quantity("tension", "force", symbol="$T$"),
     Quantity("wrap_angle", "angle"),

@@ -246,8 +246,8 @@ def in_label_units(answer: "xarray.Dataset") -> "xarray.Dataset":
     def shown(array: "xarray.DataArray") -> tuple[object, np.ndarray, dict[str, object]]:
         name, unit = str(array.name), array.attrs.get("units", "1")
         scale, unit = preferred(DIMENSION_OF[unit]) if unit in DIMENSION_OF else (1.0, unit)
-        if name in QUANTITIES and QUANTITIES[name].in_percent:
-            scale, unit = QUANTITIES[name].shown
+        if name in QUANTITIES and QUANTITIES[name].dimension == "strain":
+            scale, unit = preferred("strain")
         # integers and booleans cannot be NaN: other outputs show where there is no number
         values = array if array.dtype.kind == "f" else array.where(there).transpose(*array.dims)
         attrs = {"words": name_in_words(name), "unit": unit, "yes_or_no": array.dtype.kind == "b"}
