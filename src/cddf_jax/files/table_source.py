@@ -190,9 +190,8 @@ def _sheets(content: bytes) -> dict[str, list[Row]]:
         ) from None
     found = {}
     for name, rows in sheets.items():
-        width = max((i + 1 for cells in rows for i, text in enumerate(cells) if text), default=0)
-        padded = ((i, [*cells[:width], *[""] * (width - len(cells))]) for i, cells in enumerate(rows, 1))
-        found[name] = [(i, cells) for i, cells in padded if any(cells)]
+        width = max(map(len, rows), default=0)
+        found[name] = [(i, cells + [""] * (width - len(cells))) for i, cells in enumerate(rows, 1) if any(cells)]
     return found
 
 
@@ -203,13 +202,13 @@ def _texts(values: Any, formulas: Any, nothing: Collection[object]) -> list[list
     """
     for sheet in (values, formulas):
         sheet.reset_dimensions()  # the size in the file may be wrong
-    found = []
-    for cells, own in zip(values.iter_rows(), formulas.iter_rows(), strict=True):
-        never = (
-            f.data_type == "f" and c.value in nothing and c.data_type != "str" for c, f in zip(cells, own, strict=True)
-        )
-        found.append([_text(f.value if unknown else c.value) for c, f, unknown in zip(cells, own, never, strict=True)])
-    return found
+
+    def text(cell: Any, formula: Any) -> str:
+        never = formula.data_type == "f" and cell.value in nothing and cell.data_type != "str"
+        return _text(formula.value if never else cell.value)
+
+    both = zip(values.iter_rows(), formulas.iter_rows(), strict=True)
+    return [[text(*cells) for cells in zip(*row, strict=True)] for row in both]
 
 
 def _text(value: object) -> str:

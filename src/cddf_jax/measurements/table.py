@@ -94,7 +94,7 @@ class Measurements:
         simulated: whether name or notes say so.
         holds_averaged: whether the rows are means of `average_holds`.
         read_as: how the file was understood, in lines that begin with its name; empty for a plain one.
-        files: if the trials are files, their names, in the order of `trial_labels`.
+        files: if the trials are files, their names, in the order of `trial_labels`, numbered where two are the same.
         unread: columns that held no reading in any row and are left out.
         left_out: how many rows held no reading and are left out; with `step` or `time` they stay, as steps of a path.
         markers: by name, the places in a table of markers.
@@ -192,11 +192,7 @@ class Measurements:
 
     def file_of(self, row: int) -> str:
         """The file that a row is from, where trials are files; else ""."""
-        if not self.files:
-            return ""
-        trial = int(self.trial[row])
-        file = self.files[trial]
-        return file if self.files.count(file) == 1 else self.trial_labels[trial]
+        return self.files[int(self.trial[row])] if self.files else ""
 
     @cached_property
     def checksum(self) -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
+from .left_out import numbered
 from .marker_table import is_marker_table
 from .table import Measurements, read_file
 
@@ -55,23 +56,22 @@ def trials_together(tables: Sequence[Measurements]) -> tuple[Measurements, ...]:
 
     A column without a reading still counts as a column of its table.
     """
-    alike: dict[tuple[frozenset[str], frozenset[object]], list[Measurements]] = {}
-    for table in tables:
+    alike: dict[tuple[frozenset[str], frozenset[object]], list[int]] = {}
+    for number, table in enumerate(tables):
         of_table = frozenset((*table.columns, *table.unread)), frozenset(table.markers.items())
-        alike.setdefault(of_table, []).append(table)
-    found = []
+        alike.setdefault(of_table, []).append(number)
+    found = dict(enumerate(tables))
     for (columns, _), group in alike.items():
-        again = len({table.checksum for table in group}) < len(group)  # given twice, of which `fit` warns
-        found += group if len(group) == 1 or "trial" in columns or again else [_joined(group)]
-    order = [table.name for table in tables]
-    return tuple(sorted(found, key=lambda table: min(map(order.index, table.files or (table.name,)))))
+        again = len({tables[number].checksum for number in group}) < len(group)  # given twice, of which `fit` warns
+        if len(group) > 1 and "trial" not in columns and not again:
+            found[group[0]] = _joined([found.pop(number) for number in group])
+    return tuple(found[number] for number in sorted(found))
 
 
 def _joined(tables: Sequence[Measurements]) -> Measurements:
     """One table whose trials are the tables."""
-    names = [table.name for table in tables]
+    names = numbered([table.name for table in tables])
     stems = [Path(name).stem for name in names]
-    labels = stems if len(set(stems)) == len(stems) else [f"{name} ({i})" for i, name in enumerate(names, 1)]
     columns = {"trial": np.repeat(np.arange(len(tables), dtype=float), [len(table) for table in tables])}
     gaps = [np.full(len(table), np.nan) for table in tables]  # where a table has no reading of a column
     for column in dict.fromkeys(column for table in tables for column in table.columns):
@@ -84,7 +84,7 @@ def _joined(tables: Sequence[Measurements]) -> Measurements:
         name=every if len(every) <= 60 else f"{names[0]} to {names[-1]}",
         columns=columns,
         rows=np.concatenate([table.rows for table in tables]),
-        trial_labels=tuple(labels),
+        trial_labels=tuple(stems if len(set(stems)) == len(stems) else names),
         notes=tuple(note for table in tables for note in table.notes),
         simulated=any(table.simulated for table in tables),
         read_as=tuple(said),
