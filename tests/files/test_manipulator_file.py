@@ -57,7 +57,7 @@ def test_the_papers_body_gives_the_tension_of_the_closed_form():
 
 def test_optional_keys(tmp_path):
     text = TEXT.replace("[[tendons]]", 'name = "a"\ndensity = "1.07 g/cm^3"\n[[tendons]]')
-    text += 'side = "-1"\nend = "10 cm"\nfriction_coefficient = "0.3"\n'
+    text += 'side = -1\nend = "10 cm"\nfriction_coefficient = "0.3"\n'
     body = read(tmp_path, text + 'axial_stiffness = "12 kN"\nfree_length = "30 cm"')
     tendon = body.tendons[0]
     assert (body.density, body.kinematics) == (1070.0, "exact")
@@ -130,7 +130,7 @@ CASES = [
         "inner_radius: Piecewise.linear: arc_length must increase, got [0.005, 0.0]",
     ),
     ("[[tendons]]", "[tendons]", "tendons must be one table per tendon; write each below a line [[tendons]]"),
-    ("offset =", "side = 2\noffset =", "tendon 1: side must be 1 or -1, got 2"),
+    ("offset =", "side = 2\noffset =", "tendon 1: Tendon: side must be +1 or -1, got 2"),
     ("offset =", "end = 0.1\noffset =", "tendon 1: end needs a unit of length, got 0.1"),
     ("offset =", "free_lenght = 1\noffset =", "tendon 1: unknown key 'free_lenght'; did you mean free_length?"),
     ('"10 mm"', '"5 mm"', "tendon 1: offset must lie inside the wall: at s = 0 mm it is 5 mm"),

@@ -101,7 +101,6 @@ _Table = Mapping[str, Any]
 _RADII = ("outer_radius", "inner_radius")
 _PROFILES = (*_RADII, "youngs_modulus", *STIFFNESSES, "mass_per_length")
 _TENDON_PROFILES = ("offset", "angle")
-_REQUIRED = ("length", *_RADII, "youngs_modulus", "friction_coefficient", "tendons")
 _SWITCHES = ("extensible", "offsets_outside_wall")
 _OTHERS = ("kinematics", "rest_curvature", "gravity", *_SWITCHES, "name", "description", "point_mass", "cross_sections")
 _UNLESS_GIVEN = {"free_length": 0.0, "poissons_ratio": 0.5}  # defaults, which are not written
@@ -273,14 +272,14 @@ def _values(table: _Table, length: float, profiles: Sequence[str]) -> dict[str, 
 
 
 def _check_top(table: _Table) -> None:
-    """Refuse keys that are unknown or contradict each other, and require those that must be there."""
-    given_elsewhere = {"length", *_RADII, "tendons"} if _SECTIONS in table else set()
-    given_elsewhere |= {"youngs_modulus", *_RADII} if "bending_stiffness" in table else set()
-    for one, other in (("youngs_modulus", "bending_stiffness"), *((key, _SECTIONS) for key in ("length", *_RADII))):
-        if one in table and other in table:
-            raise InputError(f"{one} and {other} are both given; leave one of them out")
-    required = [key for key in _REQUIRED if key not in given_elsewhere]
-    check_keys(table, required, (*_REQUIRED, *_PROFILES, *_NUMBERS, *_OTHERS))
+    """Refuse unknown keys, and those that a table of cross-sections has already; `Manipulator` checks what belongs
+    together.
+    """
+    body, from_table = ("length", *_RADII), _SECTIONS in table
+    if from_table and (twice := [key for key in body if key in table]):
+        raise InputError(f"{twice[0]} and {_SECTIONS} are both given; leave one of them out")
+    required = ("friction_coefficient",) if from_table else ("length", "friction_coefficient", "tendons")
+    check_keys(table, required, (*body, "tendons", *_PROFILES, *_NUMBERS, *_OTHERS))
 
 
 def _sections(table: _Table) -> dict[str, Any]:
@@ -293,10 +292,9 @@ def _sections(table: _Table) -> dict[str, Any]:
 
 
 def _tables(table: _Table, key: str, one: str) -> list[_Table]:
-    """The tables below the lines [[key]], one for each `one`; there must be a tendon."""
+    """The tables below the lines [[key]], one for each `one`."""
     found = table.get(key, [])
-    empty = key == "tendons" and not found
-    if empty or not isinstance(found, list) or not all(isinstance(own, dict) for own in found):
+    if not isinstance(found, list) or not all(isinstance(own, dict) for own in found):
         raise InputError(f"{key} must be one table per {one}; write each below a line [[{key}]]")
     return found
 
@@ -328,10 +326,7 @@ def _named(value: object, folder: Path) -> tuple[Path, float]:
 
 def _tendon(table: _Table, length: float) -> Tendon:
     check_keys(table, ("offset",), ("side", "angle", *_TENDON_NUMBERS))
-    side = table.get("side", 1)
-    if isinstance(side, bool) or str(side) not in ("1", "+1", "-1"):
-        raise InputError(f"side must be 1 or -1, got {side!r}")
-    return Tendon(side=int(side), **_values(table, length, _TENDON_PROFILES))
+    return Tendon(side=table.get("side", 1), **_values(table, length, _TENDON_PROFILES))
 
 
 def check_keys(table: _Table, required: Sequence[str], others: Sequence[str] = ()) -> None:
