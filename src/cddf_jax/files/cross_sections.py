@@ -163,9 +163,6 @@ def _sections(columns: dict[str, np.ndarray], rows: list[int], tolerance: float)
             raise InputError(f"the column {column} is missing; add it")
     s = _arc_length(columns["arc_length"], rows)
     names = _offset_columns(columns)
-    for column, values in columns.items():
-        if column not in names and not np.all(np.isfinite(values)):
-            raise InputError(f"row {rows[int(np.argmin(np.isfinite(values)))]}, column {column}: must be finite")
     read, tendons = [_column(name, s, columns[name], tolerance) for name in ("outer_radius", "inner_radius")], []
     for name in names:
         side, count = _side_and_count(columns[name], rows, name)

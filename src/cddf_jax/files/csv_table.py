@@ -220,5 +220,10 @@ def _numbers(column: str, rows: Sequence[int], texts: Sequence[str], unit: str |
         if re.fullmatch(r"[+-]?\d+([,.'’\s]\d+)+", text):
             remedy = "write it with a decimal point and without thousands separators"
         raise InputError(f"row {rows[bad]}, column {column}: {found}; {remedy}") from None
+    good = np.isfinite(values) | (np.isnan(values) & kind.gaps(column))
+    if not np.all(good):
+        bad = int(np.argmin(good))
+        rule = f"must be finite, got {values[bad]:g}; give a number or remove the row"
+        raise InputError(f"row {rows[bad]}, column {column}: {rule}")
     dimension = kind.dimension_of(column)
     return values if dimension is None or unit is None else to_si(values, unit, dimension, column)

@@ -63,16 +63,11 @@ def read_path_file(path: str | os.PathLike[str], columns: Mapping[str, str] | No
 def _check(table: Table, driven: str) -> None:
     """Every value a number, and no tension negative."""
     values, is_tension = table.columns[driven], driven == "base_tension"
-    for column in (column for column in ORDER if column in table.columns):
-        if not np.all(known := np.isfinite(table.columns[column])):
-            where = f"row {table.rows[int(np.argmin(known))]}, column {column}"
-            raise InputError(f"{where}: must be finite; give a number")
     bad = np.flatnonzero(~np.isfinite(values) | (is_tension & (values < 0)))
     if bad.size:
-        got, rule = float(values[bad[0]]), "must be 0 or more" if is_tension else "must be finite"
-        shown = written(got, dimension_of(driven)) if np.isfinite(got) else f"{got:g}"
-        where = f"row {table.rows[bad[0]]}, column {driven}"
-        raise InputError(f"{where}: {rule}, got {shown}; correct or remove the row")
+        got = float(values[bad[0]])
+        rule = f"must be 0 or more, got {written(got, 'force')}" if is_tension else f"must be finite, got {got:g}"
+        raise InputError(f"row {table.rows[bad[0]]}, column {driven}: {rule}; correct or remove the row")
 
 
 def _dimension_of(column: str) -> Dimension | None:
