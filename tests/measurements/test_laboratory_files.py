@@ -52,6 +52,14 @@ def spreadsheet(**sheets):
 @pytest.mark.parametrize(
     ("content", "first_row"),
     [
+        ("\ufeff" + PLAIN, 2),  # byte-order mark
+        (PLAIN.replace("\n", "\r\n"), 2),
+        (PLAIN.replace(",", ";"), 2),
+        (PLAIN.replace(",", "\t").encode("utf-16"), 2),  # "Unicode text" of spreadsheets
+        (b"\xfe\xff" + PLAIN.replace(",", "\t").encode("utf-16-be"), 2),
+        (PLAIN.replace("\n", ",\n"), 2),  # separators at the end of every line
+        (PLAIN.replace("10,", '# the cell was zeroed here, with a 5" key\n\n10,'), 2),  # a note between rows
+        ('"base_tension [N]","tip_tension [N]"\n"5","4.79"\n"10", "9.19"\n"20","17.02"\n', 2),  # as R writes it
         ("sep=;\n" + PLAIN.replace(",", ";").replace(".", ","), 3),
         (("# Prüfstand 3\n" + PLAIN).encode("latin-1"), 3),
         ("Zeit [s],Tbase_N,T_tip (N),Bemerkung\n0,5,4.79,\n1,10,9.19,gut\n2,20,17.02\n", 2),

@@ -59,29 +59,6 @@ def test_a_pulley_test_and_what_a_name_says(tmp_path):
     assert read(tmp_path, PAIRS, "load_cells_Simulated.csv").simulated
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "\ufeff" + PAIRS,  # byte-order mark
-        PAIRS.replace("\n", "\r\n"),
-        PAIRS.replace(", ", ";"),
-        PAIRS.replace(", ", ";").replace(".", ","),  # decimal commas
-        PAIRS.replace("base_tension [N]", '"base_tension [N]"'),  # as R writes it
-        PAIRS + "\n,\n , \n",  # blank rows, as Excel leaves them
-        PAIRS.replace(", ", "\t"),
-        PAIRS.replace(", ", "\t").encode("utf-16"),  # "Unicode text" of spreadsheets
-        b"\xfe\xff" + PAIRS.encode("utf-16-be"),
-        PAIRS.replace("\n", ",\n"),  # separators at the end of every line
-        PAIRS.replace("10,", '# the cell was zeroed here, with a 5" key\n\n10,'),  # a note between rows
-        '"base_tension [N]","tip_tension [N]"\n"5","4.79"\n"10", "9.19"\n',
-    ],
-)
-def test_dialects_of_csv(tmp_path, text):
-    table = read(tmp_path, text)
-    assert table["base_tension"].tolist() == [5, 10]
-    assert table["tip_tension"].tolist() == [4.79, 9.19]
-
-
 @settings(max_examples=25)
 @given(hnp.arrays(np.float64, (7, 2), elements=st.floats(0, 1e300)))
 def test_numbers_are_read_to_the_last_bit(tmp_path_factory, values):
