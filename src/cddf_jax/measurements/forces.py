@@ -40,7 +40,8 @@ def forces_of(
     places, none = [*dict.fromkeys([ON_TIP, *(place for _, place in found)])], np.zeros(rows)
     axes = "xyz" if any(axis == "z" for axis, _ in found) else "xy"
     forces = [[found.get((axis, place), none) for axis in axes] for place in places]
-    return {place: _arc_length(place) for place in places[1:]}, np.moveaxis(np.array(forces), 2, 0)
+    at = {place: quantity(place, "length", f"force @{place}") for place in places[1:]}
+    return at, np.moveaxis(np.array(forces), 2, 0)
 
 
 def check_on_body(places: Mapping[str, float], length: float) -> None:
@@ -51,12 +52,3 @@ def check_on_body(places: Mapping[str, float], length: float) -> None:
                 f"force @{place}: it must act above 0 and up to the tip at {shown(length, 'length')}, not at "
                 f"{shown(arc_length, 'length')}; correct the place"
             )
-
-
-def _arc_length(place: str) -> float:
-    try:
-        return quantity(place, "length", "place of a force")
-    except InputError:
-        raise InputError(
-            f"force @{place}: {place!r} is not an arc length; name the column for example force_y@60mm"
-        ) from None

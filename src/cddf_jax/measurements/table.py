@@ -227,14 +227,12 @@ def read_file(
     theirs = {} if markers is None else of_markers(columns)
     own = {name: meant for name, meant in columns.items() if name not in theirs or not meant.strip()}
     found = read_table(path, _KIND, own)
-    with within(path):
-        further = _check_heads(found)
     more = NO_MARKERS if markers is None else read_marker_table(markers, theirs, len(found.rows))
     with within(path):
         if twice := [column for column in more.columns if column in found.columns]:
             raise InputError(f"the column {twice[0]} is in {markers} as well; leave one out")
+        said = (*found.read_as, *_check_heads(found), *more.read_as)
         every = found.columns | more.columns
-        said = (*found.read_as, *further, *more.read_as)
         table = _table(in_utf8(Path(path).name), every, notes=found.notes, rows=found.rows, read_as=said)
     return replace(table, markers=more.places), found.described | more.described
 
@@ -336,7 +334,6 @@ def _check_heads(found: Table) -> list[str]:
         guessed = {meant.partition(" ")[0] for meant in guesses.values()}
         remedy = advice(unused, guesses, _missing(guessed.union(found.columns)))
         raise InputError(what, where=where, remedy=remedy)
-    _check_columns(found.columns)
     return hint({head: meant for head, meant in guesses.items() if may_be_read(meant.partition(" ")[0])})
 
 
