@@ -25,7 +25,7 @@ STEPS = HEAD + "0, 2, 0, 6\n60, 2, 0, 6\n60, 1.8, 0, 6\n130, 1.8, 0, 6\n130, 1.6
 
 
 def taken(s, values, tolerance) -> Profile:
-    return simplest_profile.simplest_profile(s, values, tolerance, "radius")
+    return simplest_profile.simplest_profile(s, values, tolerance)
 
 
 @pytest.fixture
@@ -221,7 +221,7 @@ def test_solve_says_what_was_read(cddf_command, stepped_robot):
 
 def test_scattered_points_are_refused_with_the_remedy():
     s = np.linspace(0.0, LENGTH, 1500)
-    with pytest.raises(cddf.InputError, match=r"radius: .* 1000 straight lines .* give a greater tolerance"):
+    with pytest.raises(cddf.InputError, match=r"^neither .* 1000 straight lines .* give a greater tolerance"):
         taken(s, 0.02 + 1e-4 * np.cos(37.0 * np.arange(len(s))), 1e-6)
 
 

@@ -177,7 +177,8 @@ def _sections(columns: dict[str, np.ndarray], rows: list[int], tolerance: float)
 
 
 def _column(name: str, s: np.ndarray, values: np.ndarray, tolerance: float) -> SectionColumn:
-    return SectionColumn(name, s, values, simplest_profile(s, values, tolerance, name))
+    with within(name):
+        return SectionColumn(name, s, values, simplest_profile(s, values, tolerance))
 
 
 def _arc_length(s: np.ndarray, rows: list[int]) -> np.ndarray:

@@ -17,7 +17,7 @@ MOST_LINES = 1000
 BETWEEN = 257  # places between two points at which a smooth curve is looked at
 
 
-def simplest_profile(arc_length: np.ndarray, values: np.ndarray, tolerance: float, name: str) -> Profile:
+def simplest_profile(arc_length: np.ndarray, values: np.ndarray, tolerance: float) -> Profile:
     """A number, a straight line, a cubic spline or a chain of straight lines; a step at an arc length given twice.
 
     A spline is taken if it needs no more knots than the chain has points, stays within the values of neighbouring
@@ -28,10 +28,12 @@ def simplest_profile(arc_length: np.ndarray, values: np.ndarray, tolerance: floa
         arc_length: m, the first 0, increasing, except that inner ones may be given twice.
         values: m, at these arc lengths; at a step the one towards the base first.
         tolerance: m, the most by which the profile may miss a value.
-        name: of the quantity, for errors: the chain must not need too many lines.
+
+    Raises:
+        InputError: if the chain would need too many lines.
     """
     parts = _between_steps(arc_length, values, tolerance)
-    pieces = [_straight(*part, tolerance) or _curved(*part, tolerance, name) for part in parts]
+    pieces = [_straight(*part, tolerance) or _curved(*part, tolerance) for part in parts]
     if len(pieces) == 1:
         return pieces[0]
     return Piecewise([float(s[-1]) for s, _ in parts[:-1]], pieces)
@@ -59,7 +61,7 @@ def _straight(s: np.ndarray, values: np.ndarray, tolerance: float) -> Profile | 
     return Piecewise.linear(ends, base + slope * ends / s[-1]) if s[0] > 0 else Linear(base, base + slope, s[-1])
 
 
-def _curved(s: np.ndarray, values: np.ndarray, tolerance: float, name: str) -> Profile:
+def _curved(s: np.ndarray, values: np.ndarray, tolerance: float) -> Profile:
     """A spline or a chain of straight lines."""
     corners = _corners(s, values, tolerance)
     spline = _spline(s, values, tolerance, len(corners))
@@ -67,7 +69,7 @@ def _curved(s: np.ndarray, values: np.ndarray, tolerance: float, name: str) -> P
         return spline
     if len(corners) > MOST_LINES + 1:
         raise InputError(
-            f"{name}: neither {MOST_KNOTS} knots of a spline nor {MOST_LINES} straight lines pass its points at "
+            f"neither {MOST_KNOTS} knots of a spline nor {MOST_LINES} straight lines pass its points at "
             f"{shown(tolerance, 'length')}; give a greater tolerance, or smooth the points"
         )
     return Piecewise.linear(s[corners], values[corners])
