@@ -28,7 +28,7 @@ from cddf_jax.identification.random_effects import errors_of_base
 from cddf_jax.identification.tension_before import Past, Start, first_guesses, starts_of
 from cddf_jax.measurements.jitter import turns_of, without_jitter
 from cddf_jax.measurements.table import Measurements
-from cddf_jax.reports.fit_report import fit_as_dict, fit_as_markdown, make_report
+from cddf_jax.reports.fit_report import fit_as_dict, fit_as_markdown
 
 UP = np.arange(5.0, 86.0, 5.0)
 LOOP = np.concatenate([UP, UP[-2::-1]])
@@ -292,12 +292,11 @@ def test_what_was_before_is_found():
     stated = cddf.fit(BODY, released(), noise=NOISE, before=57.0)
     assert stated.standard_error["friction_coefficient"] <= found.standard_error["friction_coefficient"]
     np.testing.assert_allclose(stated.value["friction_coefficient"], MU, rtol=1e-6)
-    text = fit_as_markdown(make_report(stated, with_profiles=False))
+    text = fit_as_markdown(stated, {})
     assert "With history: bench. Before the first row: 57 N." in text
-    assert "Without a model of the body" not in text  # which would take the rows for pulled from rest
-    of_report = fit_as_markdown(make_report(found, with_profiles=False))
+    of_report = fit_as_markdown(found, {})
     assert "Before the first row: fitted (before)." in of_report
-    assert fit_as_dict(make_report(found, with_profiles=False))["unit"]["before"] == "N"
+    assert fit_as_dict(found, {})["unit"]["before"] == "N"
 
 
 @pytest.mark.slow
@@ -443,8 +442,7 @@ def test_a_loop_of_two_tendons_brings_the_truth_back():
         assert found.standard_error[name] < 0.01 * truth
         assert found.moved_by_steps[name] < 0.5
     assert not any("increments" in warning for warning in found.warnings)
-    report = make_report(found, with_profiles=False)
-    assert "The increments of the history move the estimates by at most 0." in fit_as_markdown(report)
+    assert "The increments of the history move the estimates by at most 0." in fit_as_markdown(found, {})
     path = np.stack([PULLS, np.full(20, 20.0)], axis=1)
     along = found.predict("tip_angle", path, history=True)
     np.testing.assert_allclose(along.value, read["tip_angle"] - found.residuals["pair: tip_angle"], rtol=1e-9)

@@ -60,7 +60,7 @@ def fit(
     with stage("loading"):
         from ..estimation.whole_search import INTERRUPTED
         from ..identification.fit import fit
-        from ..reports.fit_report import fit_report, make_report
+        from ..reports.fit_report import fit_report, profiles_of
         from .fit_options import read_before, read_leave_out, read_noise, read_priors, read_setting
 
     found = fit(
@@ -79,9 +79,9 @@ def fit(
     )
     interrupted = found.result == INTERRUPTED
     try:
-        report = fit_report(make_report(found, with_profiles=out is not None))
+        report = fit_report(found, {} if out is None else profiles_of(found))
     except KeyboardInterrupt:
-        interrupted, report = True, fit_report(make_report(found, with_profiles=False))
+        interrupted, report = True, fit_report(found, {})
     options.give(report, out, as_json=as_json, code=options.INTERRUPTED if interrupted else options.FAILED)
     if interrupted:
         options.stop("interrupted; the fit is complete, but without profiles", options.INTERRUPTED)

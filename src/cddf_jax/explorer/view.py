@@ -270,11 +270,11 @@ class ExplorerView:
         self.threads.fits.submit(self._fit, self.settings.kinematics)
 
     def _fit(self, kinematics: Kinematics) -> None:
-        from ..reports.fit_report import fit_in_words, make_report
+        from ..reports.fit_report import fit_in_words
 
         try:
             fitted = self.exploration.fit(kinematics)
-            text = fit_in_words(make_report(fitted, with_profiles=False))
+            text = fit_in_words(fitted)
             text += "\nbody: that of the file, wherever the sliders stand"
             if not fitted.success:
                 text += f"\nthe fit failed: {fitted.result}"

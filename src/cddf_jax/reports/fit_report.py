@@ -1,9 +1,9 @@
 """A fit as people read it: report.md with its figures, and results.json beside it."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -30,11 +30,7 @@ from .report import Content, Report, versions
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from ..identification.model_free import ModelFreeFriction
 
-
-LEAST_ROWS = 3  # for friction without a model
-LARGEST_AWAY = 3.0  # standard errors of a fit from friction without a model: beyond, the report says what to check
 # of results.json
 OF_FIT = (
     *("result", "success", "verdict", "warnings", "noise", "noise_model", "noise_estimated", "input_noise"),
@@ -46,76 +42,25 @@ OF_DETERMINATION = (
     *("names", "value", "standard_error", "confidence_interval", "status", "combinations", "sums", "correlation"),
     *("rank", "condition_number", "sloppy_direction"),
 )
-OF_FRICTION = ("value", "standard_error", "confidence_interval", "verdict")
 
 
-class WithoutModel(NamedTuple):
-    """Friction from a table without a model of the body, and how far the fit lies from it."""
-
-    found: "ModelFreeFriction"
-    away: float | None  # standard errors; None where the fit does not tell the friction
-
-    @property
-    def said(self) -> str:
-        """In words."""
-        if self.away is None:
-            return ""
-        check = "; check kinematics, the offset of the tendon, and the zeros of the cells and the camera"
-        return f"the fit lies {abs(self.away):.1f} standard errors from it" + check * (abs(self.away) > LARGEST_AWAY)
-
-
-class FitResults(NamedTuple):
-    """A fit and the results that belong to it."""
-
-    fit: Fit
-    profiles: dict[str, Profile]  # by fitted parameter; none of a fit that failed
-    model_free: dict[str, WithoutModel]  # by table
-
-
-def make_report(fit: Fit, *, with_profiles: bool = True) -> FitResults:
-    """Compute all that a report contains; profiles take some seconds."""
-    profiles = (
-        {name: fit.profile(name) for name in each("profile", own_names(fit))} if fit.success and with_profiles else {}
-    )
-    return FitResults(fit, profiles, _without_model(fit))
-
-
-def _without_model(fit: Fit) -> dict[str, WithoutModel]:
-    """Friction without a model of the body from each table whose trials begin at rest, where it can be told."""
-    from ..identification.model_free import model_free_friction
-
-    body, mu, found = fit.manipulator, "friction_coefficient", {}
-    if body.kinematics != "exact" or body.num_tendons > 1 or body.slanted:
-        return {}
-    for name, table, one in zip(fit.model.names, fit.tables, fit.model.experiments, strict=True):
-        bench = one if isinstance(one, Bench) else None
-        at_rest = bench is None or bench.course is None or bench.course.past is None
-        if at_rest and len(table) >= LEAST_ROWS:
-            with suppress(InputError):  # a column is missing, or no row is bent
-                free = model_free_friction(table, in_order=bench is not None and bool(bench.in_order))
-                error = float(np.hypot(free.standard_error, fit.standard_error.get(mu, np.inf)))
-                away = (fit.value[mu] - free.value) / error if 0 < error < np.inf else None
-                found[name] = WithoutModel(free, away)
-    return found
+def profiles_of(fit: Fit) -> dict[str, Profile]:
+    """The profile of each fitted parameter, which takes some seconds; none of a fit that failed."""
+    return {name: fit.profile(name) for name in each("profile", own_names(fit))} if fit.success else {}
 
 
 # --- results.json --------------------------------------------------------------------------------
 
 
-def fit_as_dict(results: FitResults) -> dict[str, Any]:
+def fit_as_dict(fit: Fit, profiles: Mapping[str, Profile]) -> dict[str, Any]:
     """All results and all inputs of a fit, SI units, for JSON, where an infinite number becomes null."""
-    fit = results.fit
     return {
         **_determination_as_dict(fit),
         **picked(fit, OF_FIT),
         "alone": {name: _determination_as_dict(determination) for name, determination in fit.alone.items()},
         "without_jitter": fit.without_jitter,
         "cost_from_each_start": fit.starts,
-        "profiles": results.profiles,
-        "model_free_friction": {
-            name: picked(one.found, OF_FRICTION) | {"standard_errors_away": one.away, "unit": "1"}
-            for name, one in results.model_free.items()
-        },
+        "profiles": profiles,
         "data": [_table_as_dict(table) for table in fit.tables],
         "manipulator": _as_toml(fit.model.manipulator),
         "kinematics": fit.manipulator.kinematics,
@@ -157,102 +102,92 @@ def write_fit(fit: Fit, folder: str | Path) -> None:
         InputError: if the folder cannot be written, before the profiles are computed.
     """
     check_folder(Path(folder))
-    fit_report(make_report(fit)).write(folder)
+    fit_report(fit, profiles_of(fit)).write(folder)
 
 
-def fit_report(results: FitResults) -> Report:
-    """The answer of `cddf fit`."""
-    fit = results.fit
+def fit_report(fit: Fit, profiles: Mapping[str, Profile]) -> Report:
+    """The answer of `cddf fit`, with those profiles that were computed."""
 
     def files() -> dict[str, Content]:
-        drawn = report_figures(results)
-        return {"report.md": fit_as_markdown(results, tuple(drawn)), **drawn}
+        drawn, missing = report_figures(fit, profiles)
+        return {"report.md": fit_as_markdown(fit, profiles, (*drawn,), missing), **drawn}
 
     failure = "" if fit.success else f"the fit failed: {fit.result}"
-    return Report("results", fit_in_words(results), fit_as_dict(results), files, failure)
+    return Report("results", fit_in_words(fit), fit_as_dict(fit, profiles), files, failure)
 
 
 @stage("drawing")
-def report_figures(results: FitResults) -> "dict[str, Figure]":
-    """The figures by file name; `left_out` says why others are missing."""
-    fit, missing = results.fit, left_out(results)
-    drawn = figures.table_figures(fit)
-    if "residuals" not in missing:
+def report_figures(fit: Fit, profiles: Mapping[str, Profile]) -> "tuple[dict[str, Figure], dict[str, str]]":
+    """The figures by file name, and the reasons of those that are missing."""
+    drawn, missing = figures.table_figures(fit), tables_without_numbers(fit)
+    if missing:
+        missing["residuals"] = "the model gave no numbers for some rows"
+    else:
         drawn["residuals"] = figures.residuals_figure(fit)
-    if "profiles" not in missing:
-        drawn["profiles"] = figures.profiles_figure(fit, results.profiles)
-    return drawn
-
-
-def left_out(results: FitResults) -> dict[str, str]:
-    """The reasons for missing figures, by name."""
-    fit = results.fit
-    reasons = tables_without_numbers(fit)
-    if not all(np.all(np.isfinite(residual)) for residual in fit.residuals.values()):
-        reasons["residuals"] = "the model gave no numbers for some rows"
-    if not results.profiles:
-        reasons["profiles"] = "none were asked for" if fit.success else f"the fit failed: {fit.result}"
-    return reasons
+    if profiles:
+        drawn["profiles"] = figures.profiles_figure(fit, profiles)
+    else:
+        missing["profiles"] = "none were computed" if fit.success else f"the fit failed: {fit.result}"
+    return drawn, missing
 
 
 # --- words ---------------------------------------------------------------------------------------
 
 
-def fit_in_words(results: FitResults) -> str:
+def fit_in_words(fit: Fit) -> str:
     """The report for the terminal."""
-    fit = results.fit
     lines = list(fit.verdict)
-    for title, entries in _also_said(results).items():
-        lines += ["", f"{title}:", *(f"  {entry}" for entry in entries)]
+    if alone := _each_alone(fit):
+        lines += ["", "each table alone determines:", *(f"  {line}" for line in alone)]
     lines += [short_steps_in_words(fit)] if fit.moved_by_steps else []
     lines += [f"simulated data: {simulated}"] if (simulated := _simulated_names(fit)) else []
     lines.append(f"kinematics: {fit.manipulator.kinematics}")
     return "\n".join(lines + [f"warning: {warning}" for warning in fit.warnings])
 
 
-def fit_as_markdown(results: FitResults, drawn: Sequence[str] | None = None) -> str:
+def fit_as_markdown(
+    fit: Fit, profiles: Mapping[str, Profile], drawn: Sequence[str] = (), missing: Mapping[str, str] | None = None
+) -> str:
     """The report: first in words what was determined and what was not, then the numbers.
 
-    `drawn` are the names of the figures beside it; None if no figures are made.
+    `drawn` are the names of the figures beside it, and `missing` the reasons of those that are not there.
     """
-    fit = results.fit
     later = [warning for warning in fit.warnings if warning not in fit.remarks]  # remarks are in the first lines
-    also = [(title[0].upper() + title[1:], _bullets(entries)) for title, entries in _also_said(results).items()]
     sections = [
         ("Correlation", _correlation(fit)),
-        ("Profiles", _profiles(results)),
-        *also,
+        ("Profiles", _profiles(profiles)),
+        ("Each table alone determines", _bullets(_each_alone(fit))),
         ("Trials", _trials(fit)),
         ("Noise", _noise(fit)),
-        ("Without a model of the body", _bullets(_model_free_in_words(results))),
         ("Warnings", _bullets(later)),
         ("What was stated about the bench", _bullets(_stated(fit))),
-        ("Figures", [] if drawn is None else _figures(results, drawn)),
+        ("Figures", _figures(drawn, missing or {})),
         ("How the files were read", _bullets(line for table in fit.tables for line in table.read_as)),
     ]
-    lines = [*_in_short(results), "", *_goodness(fit), ""]
+    lines = [*_in_short(fit), "", *_goodness(fit), ""]
     for title, own in sections:
         lines += [f"## {title}", "", *own, ""] if own else []
     foot = "results.json holds what is needed to repeat this fit: manipulator, options, checksums, versions.\n"
     return "\n".join([*lines, foot])
 
 
-def _also_said(results: FitResults) -> dict[str, list[str]]:
-    """What the terminal and the report say beside the verdict, by title."""
-    fit, said = results.fit, {}
-    if len(fit.tables) > 1:
-        alone = fit.alone.items()
-        said["each table alone determines"] = [f"{name}: {determination_in_words(found)}" for name, found in alone]
-    return said
+def _each_alone(fit: Fit) -> list[str]:
+    """What each of several tables determines by itself, one line each."""
+    lines = []
+    for table, alone in fit.alone.items() if len(fit.tables) > 1 else ():
+        parts = [f"{name} {status}" for name, status in alone.status.items() if not name.startswith(TRIALS)]
+        together = alone.identified_together.items()
+        parts += [f"{name} = {e.value:.4g} +- {e.standard_error:.2g} {unit_of(name)}" for name, e in together]
+        lines.append(f"{table}: {'; '.join(parts)}")
+    return lines
 
 
 def _bullets(lines: Iterable[str]) -> list[str]:
     return [f"- {line}" for line in lines]
 
 
-def _in_short(results: FitResults) -> list[str]:
-    fit, remarks = results.fit, results.fit.remarks
-    lines = [f"- {line}" for line in (*fit.verdict, *(text for text in fit.warnings if text in remarks))]
+def _in_short(fit: Fit) -> list[str]:
+    lines = _bullets([*fit.verdict, *(text for text in fit.warnings if text in fit.remarks)])
     if simulated := _simulated_names(fit):
         lines += ["", f"The data are simulated: {simulated}."]
     head = ("parameter", "value", "standard error", "95 % interval", "status")
@@ -304,9 +239,9 @@ def _correlation(fit: Fit) -> list[str]:
     return markdown_table(("parameter", *names), rows) if len(names) > 1 else []
 
 
-def _profiles(results: FitResults) -> list[str]:
+def _profiles(profiles: Mapping[str, Profile]) -> list[str]:
     rows = []
-    for name, profile in results.profiles.items():
+    for name, profile in profiles.items():
         scale, unit = shown_unit(name)
         ends = zip(profile.confidence_interval, profile.closed, profile.model_ends, strict=True)
         rows.append([name, *(_end_in_words(scale * end, unit, closed, gone) for end, closed, gone in ends)])
@@ -320,14 +255,6 @@ def _end_in_words(end: float, unit: str, closed: bool, model_ends: bool) -> str:
     if not closed:
         return f"{end:.5g}{unit} (bound)" if np.isfinite(end) else "open"
     return f"{end:.5g}{unit}"
-
-
-def determination_in_words(determination: Determination) -> str:
-    """One line."""
-    parts = [f"{name} {status}" for name, status in determination.status.items() if not name.startswith(TRIALS)]
-    together = determination.identified_together.items()
-    parts += [f"{name} = {e.value:.4g} +- {e.standard_error:.2g} {unit_of(name)}" for name, e in together]
-    return "; ".join(parts)
 
 
 def _trials(fit: Fit) -> list[str]:
@@ -364,16 +291,11 @@ def _noise(fit: Fit) -> list[str]:
     return [*markdown_table(head, rows), "", text, *(["", *_bullets(tips)] if tips else [])]
 
 
-def _model_free_in_words(results: FitResults) -> list[str]:
-    every = results.model_free.items()
-    return [f"{name}: {line}" for name, one in every for line in (*one.found.verdict, one.said) if line]
-
-
-def _figures(results: FitResults, drawn: Sequence[str]) -> list[str]:
+def _figures(drawn: Sequence[str], missing: Mapping[str, str]) -> list[str]:
     """The figures, and why others are missing."""
     pictures = [f"![{name.replace('_', ' ')}]({name}.png)" for name in drawn]
-    missing = [f"- No figure of {name.replace('_', ' ')}: {reason}." for name, reason in left_out(results).items()]
-    return [*pictures, *([""] if pictures and missing else []), *missing]
+    reasons = [f"- No figure of {name.replace('_', ' ')}: {reason}." for name, reason in missing.items()]
+    return [*pictures, *([""] if pictures and reasons else []), *reasons]
 
 
 def _stated(fit: Fit) -> list[str]:
