@@ -39,7 +39,7 @@ def straight(manipulator, loads=None):
     across = 9.0 * np.stack([0 * angles, np.cos(angles), np.sin(angles)], axis=-1)
     paths = body.midline + across[:, None]
     loads = cddf.Loads((0.0, 0.0, 0.0)) if loads is None else loads
-    return Drawn(body, body, paths, np.ones(paths.shape[:2]), loads)
+    return Drawn(body, body, paths, np.ones(paths.shape[:2]), loads, in_space=True)
 
 
 def of(rows, kind):

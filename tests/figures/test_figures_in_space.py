@@ -45,7 +45,7 @@ def arc(s):
 @pytest.fixture
 def equilibrium(monkeypatch):
     """What the figures ask of one, without solving."""
-    for module in ("body", "along"):
+    for module in ("geometry", "along"):
         monkeypatch.setattr(f"cddf_jax.figures.{module}.fields_along", lambda _, s: arc(s))
     return SimpleNamespace(tip_frame=np.eye(3))
 

@@ -3,8 +3,7 @@
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import FancyArrowPatch
-from matplotlib.path import Path
+from matplotlib.patches import Rectangle
 
 from ..mechanics.fields import in_the_plane
 from ..robot.loads import Loads
@@ -13,7 +12,7 @@ from ..statics.equilibrium import Equilibrium
 from ..units import round_number
 from . import looks, space, style as draw
 from .along import draw_along
-from .geometry import Drawn, drawn, fields_along, reached, stations
+from .geometry import Drawn, bent_body, drawn, fields_along, reached
 
 HEIGHT = 2.4  # inches, of a figure as wide as a column
 ARROWS = 10  # for each tendon
@@ -31,22 +30,22 @@ def equilibrium_figure(manipulator: Manipulator, equilibrium: Equilibrium, loads
     Raises:
         InputError: when the solve failed and there is no shape to draw.
     """
+    what = bent_body(manipulator, equilibrium, loads)
     with draw.house_style():
-        if equilibrium.tip_frame is None:
-            figure = draw.new_figure(draw.DOUBLE_COLUMN, HEIGHT)
-            shape, tension = figure.subplots(1, 2, width_ratios=(1.5, 1))
-            draw_shape(manipulator, equilibrium, loads, shape)
-            figure.set_figheight(_fitting_height(shape, 3.6))
-        else:
-            what = _drawn(manipulator, equilibrium, loads)
+        if what.in_space:
             rows = -(-manipulator.num_tendons // 3)  # of the legend
             figure, above = space.figure_with_views(
                 3.2 + 0.16 * rows, what.points, lambda axes, plane: space.draw_view(axes, what, plane)
             )
             grid = above.add_gridspec(2, 2, width_ratios=(1.4, 1))
-            space.draw_scene(what, above.add_subplot(grid[:, 0], projection="3d"))
+            draw_bent(what, above.add_subplot(grid[:, 0], projection="3d"))
             tension, curvature = (above.add_subplot(grid[row, 1]) for row in (0, 1))
             draw_along(manipulator, equilibrium, "curvature", curvature)
+        else:
+            figure = draw.new_figure(draw.DOUBLE_COLUMN, HEIGHT)
+            shape, tension = figure.subplots(1, 2, width_ratios=(1.5, 1))
+            draw_bent(what, shape)
+            figure.set_figheight(_fitting_height(shape, 3.6))
         draw_along(manipulator, equilibrium, "tension", tension)
     return figure
 
@@ -72,38 +71,39 @@ def draw_shape(
     Raises:
         InputError: when the solve failed and there is no shape to draw, or for axes of the wrong kind.
     """
-    what = _drawn(manipulator, equilibrium, loads)
-    if equilibrium.tip_frame is not None:
-        with draw.axes_or_new(axes, space.HEIGHT, in_space=True) as axes:
-            space.draw_scene(what, axes)
-        return axes
-    norm, given, around = draw.tension_scale(what.tension), axes, 0.05 * what.length
-    with draw.axes_or_new(axes, HEIGHT) as axes:
-        axes.plot(*what.straight.outline.T, color=looks.GREY, linewidth=0.5, linestyle=(0, (1, 2)), zorder=0.5)
-        draw.draw_clamp(axes, what.body.outer_radius[0] + around, around)
-        draw.draw_body(axes, what.body)
-        for path, anchor, tension in zip(what.tendons, what.anchors, what.tension, strict=True):
-            draw.draw_coloured_line(axes, path[:, :2], tension, norm)
-            axes.plot(*anchor[:2], "o", color=looks.BLACK, markersize=2.3, zorder=5)
-        if len(what.tendons) > 1:
-            _number_tendons(axes, what.tendons[:, 0, 1], what.length)
-        look = {"arrowstyle": "-|>", "mutation_scale": 8, "linewidth": 1.2, "shrinkA": 0, "shrinkB": 0, "zorder": 6}
-        for arrows, color in ((what.force_arrows, looks.VERMILION), (what.moment_arrows, looks.PURPLE)):
-            for arrow in arrows:
-                axes.update_datalim(arrow[:, :2])
-                axes.add_patch(FancyArrowPatch(path=Path(arrow[:, :2]), color=color, fill=True, **look))
-        draw.legend_of_loads(axes, what.loads, in_space=False)
-        draw.scale_beside(axes, norm, "$T$ (N)")
-        axes.set(xlabel="$X$ (mm)", ylabel="$Y$ (mm)")
-        axes.margins(0.08)
-        draw.to_scale(axes)
-        if given is None:
+    return draw_bent(bent_body(manipulator, equilibrium, loads), axes)
+
+
+def draw_bent(what: Drawn, axes: Axes | None = None, before: Drawn | None = None) -> Axes:
+    """What `draw_shape` draws; of a bent body `before` it the outline is dashed, in space the axis."""
+    given = axes
+    with draw.axes_or_new(axes, space.HEIGHT if what.in_space else HEIGHT, in_space=what.in_space) as axes:
+        space.draw_scene(axes, what) if what.in_space else _draw_section(axes, what)
+        if before is not None:
+            line = before.body.midline if what.in_space else before.body.outline
+            axes.plot(*line.T, color=looks.GREY, linewidth=0.8, linestyle=(0, (4, 2)), zorder=8, label="before")
+        draw.legend_of_loads(axes, what)
+        draw.scale_beside(axes, draw.tension_scale(what.tension), "$T$ (N)")
+        if given is None and not what.in_space:
             draw.figure_of(axes).set_figheight(_fitting_height(axes, 2.6))
     return axes
 
 
-def _drawn(manipulator: Manipulator, equilibrium: Equilibrium, loads: Loads | None) -> Drawn:
-    return drawn(manipulator, fields_along(equilibrium, stations(manipulator)), loads)
+def _draw_section(axes: Axes, what: Drawn) -> None:
+    """A body in the plane, cut open, with its clamp, tendons and loads; the rest shape is dotted."""
+    axes.plot(*what.straight.outline.T, color=looks.GREY, linewidth=0.5, linestyle=(0, (1, 2)), zorder=0.5)
+    depth = 0.05 * what.length
+    half = what.body.outer_radius[0] + depth
+    clamp = {"facecolor": "white", "edgecolor": looks.GREY, "hatch": "///////", "linewidth": 0.0, "zorder": 0}
+    axes.add_patch(Rectangle((-depth, -half), depth, 2 * half, **clamp))
+    axes.plot([0.0, 0.0], [-half, half], color=looks.BLACK, linewidth=1.0, zorder=3)
+    draw.draw_wall(axes, what.body)
+    draw.draw_tendons(axes, what, [0, 1])
+    if len(what.tendons) > 1:
+        _number_tendons(axes, what.tendons[:, 0, 1], what.length)
+    draw.draw_loads(axes, what, [0, 1])
+    axes.margins(0.08)
+    draw.to_scale(axes)
 
 
 def _fitting_height(axes: Axes, width: float) -> float:
@@ -143,7 +143,7 @@ def draw_force_arrows(manipulator: Manipulator, equilibrium: Equilibrium, axes: 
     forces = np.stack([along.normal_force, along.friction_force])
     strongest = float(np.max(np.linalg.norm(forces[:, there], axis=-1)))
     with draw.axes_or_new(axes, HEIGHT) as axes:
-        draw.draw_body(axes, what.body)
+        draw.draw_wall(axes, what.body)
         for path in tendons:
             axes.plot(*path.T, color=looks.BLACK, linewidth=0.5)
         heights = (0.13, 0.05) if axes.dataLim.y0 + axes.dataLim.y1 < 0 else (0.95, 0.87)
@@ -154,6 +154,5 @@ def draw_force_arrows(manipulator: Manipulator, equilibrium: Equilibrium, axes: 
             axes.update_datalim(tendons[at] + size * force)
             arrows = axes.quiver(*tendons[at].T, *force.T, scale=1 / size, color=color, **look)
             axes.quiverkey(arrows, 0.17, height, key, f"{name} force, {key:g} N/m", labelpos="E", color=color)
-        axes.set(xlabel="$X$ (mm)", ylabel="$Y$ (mm)")
         draw.to_scale(axes)
     return axes

@@ -11,9 +11,10 @@ from matplotlib.figure import Figure, SubFigure
 from ..designing.pareto import ParetoFront
 from ..designing.results import Design
 from ..units import preferred
-from . import looks, space, style as draw
+from . import looks, style as draw
 from .along import draw_along
-from .geometry import drawn, fields_along, stations
+from .body import draw_bent
+from .geometry import bent_body
 
 START: dict[str, Any] = {"color": looks.GREY, "linestyle": (0, (4, 2)), "label": "before"}
 END: dict[str, Any] = {"color": looks.BLUE, "linestyle": "-", "label": "after"}
@@ -31,7 +32,7 @@ def design_figure(design: Design) -> Figure:
     shown = ("outer_radius", "curvature", "strain") if has_wall else ("curvature",)
     shown = ("angle", "offset", "bending", "twist") if in_space else shown
     with draw.house_style():
-        figure = draw.new_figure(draw.DOUBLE_COLUMN, 4.2 if len(shown) > 1 else HEIGHT)
+        figure = draw.new_figure(draw.DOUBLE_COLUMN, 3.8 if len(shown) > 1 else HEIGHT)
         left, right = cast(Sequence[SubFigure], figure.subfigures(1, 2, width_ratios=(1.45, 1)))
         draw_design(design, left.add_subplot(projection="3d" if in_space else None))
         columns = 2 if in_space else 1
@@ -43,15 +44,14 @@ def design_figure(design: Design) -> Figure:
                 panel.set_ylim(-1.0, 1.0)  # differences by rounding are not drawn
         for panel in panels[:-columns]:
             panel.set_xlabel("")
-        if in_space:  # the scene has no legend of both
-            right.legend(*panels[-1].get_legend_handles_labels(), loc="outside upper center", ncols=2)
+        right.legend(*panels[-1].get_legend_handles_labels(), loc="outside upper center", ncols=2)
     return figure
 
 
 def draw_design(design: Design, axes: Axes | None = None) -> Axes:
-    """The designed body, bent in its first load case, to scale, mm; the bent body at the start is dashed.
+    """The designed body, bent in its first load case, as `draw_shape` draws it; the bent body at the start is dashed.
 
-    In space it is drawn in three dimensions, and only the axis of the start.
+    In space only the axis of the start is drawn.
 
     Args:
         design: of `design`.
@@ -60,26 +60,9 @@ def draw_design(design: Design, axes: Axes | None = None) -> Axes:
     Raises:
         InputError: for axes of the wrong kind.
     """
-    loads, in_space = design.cases[0].loads, design.equilibria[0].in_space
-    old, new = (
-        drawn(body, fields_along(bent[0], stations(body)), loads)
-        for body, bent in ((design.start, design.equilibria_at_start), (design.manipulator, design.equilibria))
-    )
-    with draw.axes_or_new(axes, space.HEIGHT if in_space else HEIGHT, in_space=in_space) as axes:
-        if in_space:
-            space.draw_scene(new, axes, old.body.midline)
-            return axes
-        draw.draw_body(axes, new.body)
-        for path in new.tendons:
-            axes.plot(*path[:, :2].T, color=looks.BLACK, linewidth=0.6)
-        axes.plot(*new.body.outline.T, color=looks.BLUE, linewidth=0.7, label="after")
-        axes.plot(*old.body.outline.T, color=looks.GREY, linewidth=0.6, linestyle=(0, (4, 2)), label="before")
-        clamp = 1.2 * max(new.body.outer_radius[0], np.max(np.abs(new.tendons[:, 0, 1])))
-        draw.draw_clamp(axes, clamp, 0.04 * new.length)
-        axes.set(xlabel="$X$ (mm)", ylabel="$Y$ (mm)")
-        draw.to_scale(axes)
-        draw.legend_above(axes)
-    return axes
+    loads = design.cases[0].loads
+    before = bent_body(design.start, design.equilibria_at_start[0], loads)
+    return draw_bent(bent_body(design.manipulator, design.equilibria[0], loads), axes, before)
 
 
 def draw_trade_off(front: ParetoFront, axes: Axes | None = None) -> Axes:

@@ -69,6 +69,7 @@ class Drawn(NamedTuple):
     tendons: np.ndarray  # (tendons, points, 3), NaN beyond the anchor
     tension: np.ndarray  # N, (tendons, points), NaN there too
     loads: Loads  # with three components
+    in_space: bool
 
     @property
     def length(self) -> float:
@@ -93,7 +94,7 @@ class Drawn(NamedTuple):
     def force_arrows(self) -> list[np.ndarray]:
         """Start and end of an arrow along each force, (2, 3), a fifth of the length, ahead of the body."""
         arrows = []
-        for i, force, _ in self._acting():
+        for i, force, _ in self.acting:
             if np.any(force):
                 at, reach = self.body.midline[i], 0.2 * self.length * force / np.linalg.norm(force)
                 ahead = reach @ self.body.frame[i, :, 0] > -1e-9 * self.length
@@ -104,7 +105,7 @@ class Drawn(NamedTuple):
     def moment_arrows(self) -> list[np.ndarray]:
         """An arc ahead of the body, or around it, as each moment turns, (points, 3)."""
         arcs = []
-        for i, _, moment in self._acting():
+        for i, _, moment in self.acting:
             if np.any(moment):
                 about = moment / np.linalg.norm(moment)
                 axes = self.body.frame[i].T
@@ -117,7 +118,8 @@ class Drawn(NamedTuple):
                 arcs.append(self.body.midline[i] + ring * around)
         return arcs
 
-    def _acting(self) -> list[tuple[int, np.ndarray, np.ndarray]]:
+    @property
+    def acting(self) -> list[tuple[int, np.ndarray, np.ndarray]]:
         """Forces and moments with the indices of their arc lengths: at the tip and at points."""
         s, points = self.straight.midline[:, 0], self.loads.points
         places = [-1, *(int(np.argmin(np.abs(s - 1e3 * float(point.arc_length)))) for point in points)]
@@ -178,14 +180,15 @@ def drawn(manipulator: Manipulator, along: AnyFields, loads: Loads | None = None
         frame = np.moveaxis(np.array([[x, -y, none], [y, x, none], [none, none, none + 1]]), 2, 0)
     body = straight._replace(midline=1e3 * np.asarray(position), frame=np.asarray(frame))
     acting = (Loads() if loads is None else loads).with_components(3)
-    return Drawn(body, straight, tendon_paths(manipulator, body, s), np.where(there, along.tension, np.nan), acting)
-
-
-def tendon_paths(manipulator: Manipulator, body: Body, arc_length: np.ndarray) -> np.ndarray:
-    """The line of each tendon in a drawn body, (tendons, points, 3); NaN beyond its anchor."""
-    arms = 1e3 * evaluated(Manipulator.arms, manipulator, arc_length)
+    arms = 1e3 * evaluated(Manipulator.arms, manipulator, s)
     paths = body.midline + np.einsum("pij,tpj->tpi", body.frame, arms)
-    return np.where(reached(manipulator, arc_length)[..., None], paths, np.nan)
+    paths, tension = np.where(there[..., None], paths, np.nan), np.where(there, along.tension, np.nan)
+    return Drawn(body, straight, paths, tension, acting, isinstance(along, SpatialFields))
+
+
+def bent_body(manipulator: Manipulator, equilibrium: Equilibrium, loads: Loads | None = None) -> Drawn:
+    """The body, tendons and loads to draw of an equilibrium; a solve that failed is refused."""
+    return drawn(manipulator, fields_along(equilibrium, stations(manipulator)), loads)
 
 
 # --- fields along it -----------------------------------------------------------------------------

@@ -6,7 +6,6 @@ from typing import cast
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
-from matplotlib.colors import Normalize
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
@@ -57,13 +56,9 @@ def set_scene(axes: Axes, points: np.ndarray) -> Axes3D:
     return scene
 
 
-def draw_scene(what: Drawn, axes: Axes, before: np.ndarray | None = None) -> None:
-    """Body, tendons and loads in axes of three dimensions, with a scale of the tensions; the rest shape dotted.
-
-    `before` is the axis of another body, mm, (points, 3), which is dashed.
-    """
-    norm = draw.tension_scale(what.tension)
-    scene = set_scene(axes, what.points if before is None else np.concatenate([what.points, before]))
+def draw_scene(axes: Axes, what: Drawn) -> None:
+    """Body, tendons and loads in axes of three dimensions; the rest shape is dotted."""
+    scene = set_scene(axes, what.points)
     look = {"facecolor": looks.PALE, "edgecolor": looks.PALE, "linewidth": 0.3, "zorder": 1}
     scene.add_collection3d(Poly3DCollection(shadows(scene, what.body), **look))
     for line in (what.straight.midline, what.straight.rings[-1]):
@@ -75,27 +70,8 @@ def draw_scene(what: Drawn, axes: Axes, before: np.ndarray | None = None) -> Non
         x, y, z = (what.plate + 0.04 * what.length) * path[0] / np.linalg.norm(path[0])
         text = scene.text(x, y, z, str(i), ha="center", va="center", fontsize=7.5, zorder=8)
         text.set_path_effects([withStroke(linewidth=1.5, foreground="white")])
-    _draw_tendons(scene, what, norm, sight(), [0, 1, 2])
-    if before is not None:
-        scene.plot(*before.T, color=looks.GREY, linewidth=0.9, linestyle=(0, (4, 2)), zorder=8)
-    for arrows, color in ((what.force_arrows, looks.VERMILION), (what.moment_arrows, looks.PURPLE)):
-        for arrow in arrows:
-            look, (start, end) = {"color": color, "linewidth": 1.3, "zorder": 9}, arrow[-2:]
-            scene.plot(*arrow.T, **look)
-            head = float(0.05 * what.length / np.linalg.norm(end - start))  # of its last piece
-            scene.quiver(*start, *(end - start), arrow_length_ratio=head, **look)
-    draw.scale_beside(scene, norm, "$T$ (N)")
-    draw.legend_of_loads(scene, what.loads, in_space=True)
-
-
-def _draw_tendons(axes: Axes, what: Drawn, norm: Normalize, sight: np.ndarray, shown: list[int]) -> None:
-    """The tendons in some of the three coordinates, dashed where the body hides them from the direction `sight`."""
-    for path, tension, anchor in zip(what.tendons, what.tension, what.anchors, strict=True):
-        line, hidden = path[:, shown], what.body.is_hidden(path, sight)
-        dashes = np.where(hidden, _dashed(path, tension), np.nan)
-        draw.draw_coloured_line(axes, line, np.where(hidden, np.nan, tension), norm, 6.0)
-        draw.draw_coloured_line(axes, line, dashes, norm, 5.0, rim=False)
-        axes.plot(*anchor[shown], "o", color=looks.BLACK, markersize=2.3, zorder=7)
+    draw.draw_tendons(scene, what, [0, 1, 2], sight())
+    draw.draw_loads(scene, what, [0, 1, 2])
 
 
 def silhouette(body: Body, plane: Sequence[int]) -> list[np.ndarray]:
@@ -136,12 +112,6 @@ def _draw_tube(axes: Axes3D, body: Body) -> None:
     axes.add_collection3d(cap)
 
 
-def _dashed(path: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Values along a line, NaN in the gaps between dashes of a 48th of its length."""
-    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(np.nan_to_num(path), axis=0), axis=1)))
-    return np.where((way * 48 / way[-1]).astype(int) % 2 == 0, values, np.nan)
-
-
 # --- in a plane ----------------------------------------------------------------------------------
 
 
@@ -153,11 +123,8 @@ def draw_view(axes: Axes, what: Drawn, plane: str) -> None:
         axes.add_collection(PolyCollection(polygons, facecolor=color, edgecolor=color, linewidth=width, zorder=1.5))
     axes.plot(*what.straight.midline[:, flat].T, color=looks.GREY, linewidth=0.6, linestyle=(0, (1, 2)), zorder=1)
     axes.plot(*what.plate_edge[:, flat].T, color=looks.BLACK, linewidth=1.0 if right == 0 else 0.6, zorder=1)
-    _draw_tendons(axes, what, draw.tension_scale(what.tension), np.array(TOWARDS[plane]), flat)
-    for arrows, color in ((what.force_arrows, looks.VERMILION), (what.moment_arrows, looks.PURPLE)):
-        for arrow in arrows:
-            axes.plot(*arrow[:, flat].T, color=color, linewidth=1.2, zorder=6)
-            draw.draw_head(axes, arrow[-2, flat], arrow[-1, flat], color)
+    draw.draw_tendons(axes, what, flat, np.array(TOWARDS[plane]))
+    draw.draw_loads(axes, what, flat)
     axes.set(xlabel=f"${plane[0]}$ (mm)", ylabel=f"${plane[1]}$ (mm)")
 
 

@@ -17,15 +17,13 @@ from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure, FigureBase
 from matplotlib.lines import Line2D
 from matplotlib.markers import MarkerStyle
-from matplotlib.patches import Rectangle
 from matplotlib.style import context
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from ..errors import InputError
 from ..progress import stage
-from ..robot.loads import Loads
-from .geometry import Body
+from .geometry import Body, Drawn
 from .looks import BLACK, GREY, PALE, PURPLE, SKY, VERMILION, Look, LookValue
 
 Item = TypeVar("Item")
@@ -123,35 +121,6 @@ def legend_above(axes: Axes, columns: int = 2) -> None:
         axes.legend(found.values(), found.keys(), ncols=min(columns, len(found)), **look)
 
 
-def legend_of_loads(axes: Axes, loads: Loads, *, in_space: bool) -> None:
-    """The size of each load, of three components, by its arrow; in space numbers tell the way of gravity."""
-
-    def size(vector: ArrayLike) -> str:
-        return f"{np.linalg.norm(np.asarray(vector)):.3g}"
-
-    way = f"({', '.join(f'{x:.3g}' for x in np.asarray(loads.gravity))})".replace("-", "\N{MINUS SIGN}")
-    gravity = way if in_space else size(loads.gravity)
-    entries = [
-        (loads.tip_force, f"$F$ = {size(loads.tip_force)} N", VERMILION),
-        (loads.tip_moment, f"$m$ = {size(loads.tip_moment)} N m", PURPLE),
-        (loads.gravity, f"$g$ = {gravity} m/s$^2$", BLACK),
-    ]
-    for point in loads.points:
-        place = f"at {1e3 * float(point.arc_length):.3g} mm"
-        entries.append((point.force, f"{size(point.force)} N {place}", VERMILION))
-        entries.append((point.moment, f"{size(point.moment)} N m {place}", PURPLE))
-    handles = []
-    for load, label, color in entries:
-        x, y, turn = np.asarray(load)
-        marker = MarkerStyle(r"$\rightarrow$").rotated(rad=0.0 if in_space else float(np.arctan2(y, x)))
-        if color == PURPLE:
-            marker = r"$\curvearrowright$" if turn < 0 else r"$\curvearrowleft$"
-        if np.any(load):
-            handles.append(Line2D([], [], marker=marker, color=color, linestyle="none", markersize=9, label=label))
-    if handles:
-        axes.legend(handles=handles, loc="upper left" if in_space else "best", columnspacing=1.2, handletextpad=0.3)
-
-
 def common_legend(figure: Figure, panels: Sequence[Axes]) -> None:
     """One legend for all panels, above them, in place of their own."""
     for panel in panels:
@@ -223,36 +192,77 @@ def draw_head(axes: Axes, before: np.ndarray, end: np.ndarray, color: str) -> No
 # --- the body and the forces on it ---------------------------------------------------------------
 
 
-def draw_body(axes: Axes, body: Body) -> None:
-    """Wall and bore to scale, the midline dash-dotted."""
+def draw_wall(axes: Axes, body: Body) -> None:
+    """Wall and bore to scale in the plane, the midline dash-dotted."""
     look = {"facecolor": PALE, "edgecolor": GREY, "linewidth": 0.5}
     for wall in body.walls:
         axes.fill(*wall.T, **look)
     axes.plot(*body.midline[:, :2].T, color=GREY, linestyle=(0, (8, 2, 1, 2)), linewidth=0.6)
-    axes.set_aspect("equal")
+    axes.set(xlabel="$X$ (mm)", ylabel="$Y$ (mm)", aspect="equal")
 
 
-def draw_coloured_line(
-    axes: Axes, points: np.ndarray, values: np.ndarray, norm: Normalize, zorder: float = 4.5, *, rim: bool = True
-) -> None:
-    """A line coloured by a value at each of its points, (points, 2 or 3), with a dark rim; no line where it is NaN."""
-    pieces, between = np.stack([points[:-1], points[1:]], axis=1), 0.5 * (values[:-1] + values[1:])
-    there = np.isfinite(between)
-    if not np.any(there):
-        return
-    if rim:
-        dark = np.where(np.isnan(values)[:, None], np.nan, points)
-        axes.plot(*dark.T, color=BLACK, linewidth=2.2, zorder=zorder - 0.5)
-    look = {"cmap": TENSION_COLOURS, "norm": norm, "linewidth": 1.5 if rim else 1.0, "zorder": zorder}
-    look |= {"array": between[there], "capstyle": "round" if rim else "butt"}
-    if isinstance(axes, Axes3D):
-        axes.add_collection3d(Line3DCollection(list(pieces[there]), **look))
-    else:
-        axes.add_collection(LineCollection(list(pieces[there]), **look))
+def draw_tendons(axes: Axes, what: Drawn, shown: Sequence[int], sight: np.ndarray | None = None) -> None:
+    """The tendons in some of the three coordinates, coloured by tension with a dark rim, a dot at each anchor.
+
+    Where the body hides them from the direction `sight` they are dashed; None for a body that is cut open.
+    """
+    norm = tension_scale(what.tension)
+    for path, tension, anchor in zip(what.tendons, what.tension, what.anchors, strict=True):
+        hidden = np.full(tension.shape, False) if sight is None else what.body.is_hidden(path, sight)
+        seen, dashes = np.where(hidden, np.nan, tension), np.where(hidden, _dashed(path, tension), np.nan)
+        axes.plot(*np.where(np.isnan(seen)[:, None], np.nan, path[:, shown]).T, color=BLACK, linewidth=2.2, zorder=5.5)
+        for values, width, cap in ((seen, 1.5, "round"), (dashes, 1.0, "butt")):
+            pieces, between = np.stack([path[:-1, shown], path[1:, shown]], axis=1), 0.5 * (values[:-1] + values[1:])
+            there = np.isfinite(between)
+            look = {"cmap": TENSION_COLOURS, "norm": norm, "linewidth": width, "capstyle": cap, "zorder": 6}
+            if np.any(there) and isinstance(axes, Axes3D):
+                axes.add_collection3d(Line3DCollection(list(pieces[there]), array=between[there], **look))
+            elif np.any(there):
+                axes.add_collection(LineCollection(list(pieces[there]), array=between[there], **look))
+        axes.plot(*anchor[shown], "o", color=BLACK, markersize=2.3, zorder=7)
 
 
-def draw_clamp(axes: Axes, half_width: float, depth: float) -> None:
-    """The wall to which a body is clamped: at X = 0, hatched on the far side."""
-    look = {"facecolor": "white", "edgecolor": GREY, "hatch": "///////", "linewidth": 0.0, "zorder": 0}
-    axes.add_patch(Rectangle((-depth, -half_width), depth, 2 * half_width, **look))
-    axes.plot([0.0, 0.0], [-half_width, half_width], color=BLACK, linewidth=1.0, zorder=3)
+def _dashed(path: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Values along a line, NaN in the gaps between dashes of a 48th of its length."""
+    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(np.nan_to_num(path), axis=0), axis=1)))
+    return np.where((way * 48 / way[-1]).astype(int) % 2 == 0, values, np.nan)
+
+
+def draw_loads(axes: Axes, what: Drawn, shown: Sequence[int]) -> None:
+    """An arrow for each load in some of the three coordinates."""
+    for arrows, color in ((what.force_arrows, VERMILION), (what.moment_arrows, PURPLE)):
+        for arrow in arrows:
+            axes.plot(*arrow[:, shown].T, color=color, linewidth=1.2, zorder=8)
+            if isinstance(axes, Axes3D):
+                start, end = arrow[-2:]
+                head = float(0.05 * what.length / np.linalg.norm(end - start))  # of its last piece
+                axes.quiver(*start, *(end - start), arrow_length_ratio=head, color=color, linewidth=1.2, zorder=8)
+            else:
+                draw_head(axes, arrow[-2, shown], arrow[-1, shown], color)
+
+
+def legend_of_loads(axes: Axes, what: Drawn) -> None:
+    """The size of each load by its arrow, and of other lines with labels; in space numbers tell the way of gravity."""
+
+    def size(vector: ArrayLike) -> str:
+        return f"{np.linalg.norm(np.asarray(vector)):.3g}"
+
+    gravity = np.asarray(what.loads.gravity)
+    way = f"({', '.join(f'{x:.3g}' for x in gravity)})".replace("-", "\N{MINUS SIGN}")
+    places = ["", *(f" at {1e3 * float(point.arc_length):.3g} mm" for point in what.loads.points)]
+    entries = []
+    for place, (_, force, moment) in zip(places, what.acting, strict=True):
+        entries.append((force, f"$F$ = {size(force)} N{place}", VERMILION))
+        entries.append((moment, f"$m$ = {size(moment)} N m{place}", PURPLE))
+    entries.append((gravity, f"$g$ = {way if what.in_space else size(gravity)} m/s$^2$", BLACK))
+    handles = [*axes.get_legend_handles_labels()[0]]
+    for load, label, color in entries:
+        x, y, turn = load
+        marker = MarkerStyle(r"$\rightarrow$").rotated(rad=0.0 if what.in_space else float(np.arctan2(y, x)))
+        if color == PURPLE:
+            marker = r"$\curvearrowright$" if turn < 0 else r"$\curvearrowleft$"
+        if np.any(load):
+            handles.append(Line2D([], [], marker=marker, color=color, linestyle="none", markersize=9, label=label))
+    if handles:
+        place = "upper left" if what.in_space else "best"
+        axes.legend(handles=handles, loc=place, columnspacing=1.2, handletextpad=0.3)
