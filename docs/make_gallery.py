@@ -99,7 +99,7 @@ PICTURES = (
         "history_along",
         "Fronts along the body",
         "Tension at the turns of that path. Beyond its front a released tendon rests, with the tension of the pull.",
-        "figures.draw_history_along(robot, history)",
+        'figures.draw_along(robot, history, "tension")',
     ),
     Picture(
         "energy",

@@ -171,4 +171,3 @@ def test_more_tendons_than_dash_patterns(equilibrium, monkeypatch):
     looks = {(line.get_linestyle(), line._dash_pattern[1] and tuple(line._dash_pattern[1]), line.get_marker())
              for line in lines}  # fmt: skip
     assert len(looks) == len(lines) == count
-    assert {matplotlib.colors.to_hex(line.get_color()) for line in lines} == {"#000000"}

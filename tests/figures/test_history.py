@@ -52,7 +52,7 @@ def test_numbers_of_ones_own_and_many_steps(history):
 
 def test_lines_along_the_body_and_their_fronts(history):
     """Tensions at the tip by the table of the loop; at the base they are those that were given."""
-    axes = figures.draw_history_along(BODY, history, "tension", Figure().subplots(), steps=[0, 1, 2, 3, 5])
+    axes = figures.draw_along(BODY, history, "tension", Figure().subplots(), steps=[0, 1, 2, 3, 5])
     assert legend_of(axes) == ["3: 60 N", "4: 40 N", "2, 5: 75 N", "front"]
     lines = [line for line in axes.lines if len(x_of(line)) > 1]
     ends = [(y_of(line)[0], y_of(line)[-1]) for line in lines]
@@ -77,7 +77,11 @@ def test_where_the_work_goes(history):
 
 
 def test_without_axes_there_is_a_figure_of_one_column(history):
-    for axes in (figures.draw_loop(history), figures.draw_energy(history), figures.draw_history_along(BODY, history)):
+    for axes in (
+        figures.draw_loop(history),
+        figures.draw_energy(history),
+        figures.draw_along(BODY, history, "tension"),
+    ):
         assert of_kind(Figure, axes.figure).get_figwidth() == figures.SINGLE_COLUMN
 
 
@@ -93,7 +97,7 @@ def test_the_whole_figure(history):
     ("draw", "message"),
     [
         (lambda it: figures.draw_loop(it, "strain"), "draw_loop: quantity must be one of tip_tension, tip_angle, tend"),
-        (lambda it: figures.draw_history_along(BODY, it, "x"), "figures: quantity must be one of tension, "),
+        (lambda it: figures.draw_along(BODY, it, "x"), "figures: quantity must be one of tension, "),
     ],
 )
 def test_what_cannot_be_drawn(draw, message, history):
@@ -104,6 +108,6 @@ def test_what_cannot_be_drawn(draw, message, history):
 
 def test_a_step_that_failed_is_not_drawn(history):
     failed = jax.tree.map(lambda x: x * np.nan if np.issubdtype(x.dtype, np.inexact) else x, history)
-    for draw in (figures.draw_loop, figures.draw_energy, lambda it: figures.draw_history_along(BODY, it)):
+    for draw in (figures.draw_loop, figures.draw_energy, lambda it: figures.draw_along(BODY, it, "tension")):
         with pytest.raises(cddf.InputError, match="a step of the trace failed"):
             draw(failed)

@@ -54,6 +54,11 @@ def test_the_nearest_lies_on_top():
     assert np.all(np.diff(towards) > -1e-3)
 
 
+def test_without_all_base_tensions_the_first_number_colours_the_dots():
+    scene = figures.draw_workspace(answer().isel(base_tension_2=0, drop=True))
+    assert scene.figure.axes[1].get_ylabel() == "Base tension 1 (N)"
+
+
 def test_views_show_the_same_tips():
     figure = figures.workspace_figure(answer(), "tip_angle")
     *others, scene, _ = figure.axes
@@ -94,12 +99,11 @@ def test_a_plane_and_an_array_of_ones_own():
         (answer().drop_vars("tip_position"), "tip_angle", "there is no tip_position; ask the sweep for it"),
         (answer(), "tip_tension", "tip_tension has more than one number for each solve; choose one tendon"),
         (answer(), "twist", "'twist' is neither an output nor a number that varies; there are tip_position"),
-        (answer().isel(base_tension_2=0, drop=True), "total_tension", "not every base tension is known here"),
         (answer().assign(tip_position=answer().tip_position * np.nan), "tip_angle", "no solve gave a tip"),
     ],
 )
 def test_what_is_refused(data, by, message):
-    with pytest.raises(InputError, match=f"^draw_workspace: {message}"):
+    with pytest.raises(InputError, match=f"^workspace: {message}"):
         figures.draw_workspace(data, by)
 
 

@@ -23,7 +23,6 @@ from .fit import (
 )
 from .history import (
     draw_energy as draw_energy,
-    draw_history_along as draw_history_along,
     draw_loop as draw_loop,
     history_figure as history_figure,
 )

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,8 +16,8 @@ from .along import draw_along
 from .body import draw_bent
 from .geometry import bent_body
 
-START: dict[str, Any] = {"color": looks.GREY, "linestyle": (0, (4, 2)), "label": "before"}
-END: dict[str, Any] = {"color": looks.BLUE, "linestyle": "-", "label": "after"}
+START: looks.Look = {"color": looks.GREY, "linewidth": 0.8, "label": "before"}
+END: looks.Look = {"color": looks.BLUE, "label": "after"}
 HEIGHT = 2.6  # inches
 NOTHING = 1e-9  # 1/m, a curvature
 
@@ -31,14 +31,15 @@ def design_figure(design: Design) -> Figure:
     in_space, has_wall = design.equilibria[0].in_space, design.manipulator.has_radii
     shown = ("outer_radius", "curvature", "strain") if has_wall else ("curvature",)
     shown = ("angle", "offset", "bending", "twist") if in_space else shown
+    start: looks.Look = START | ({} if in_space else {"linestyle": (0, (4, 2))})  # in space dashes tell tendons apart
     with draw.house_style():
-        figure = draw.new_figure(draw.DOUBLE_COLUMN, 3.8 if len(shown) > 1 else HEIGHT)
+        figure = draw.new_figure(draw.DOUBLE_COLUMN, 3.4 if len(shown) > 1 else HEIGHT)
         left, right = cast(Sequence[SubFigure], figure.subfigures(1, 2, width_ratios=(1.45, 1)))
         draw_design(design, left.add_subplot(projection="3d" if in_space else None))
         columns = 2 if in_space else 1
         panels = right.subplots(len(shown) // columns, columns, sharex=True, squeeze=False).ravel()
         for quantity, panel in zip(shown, panels, strict=True):
-            draw_along(design.start, design.equilibria_at_start[0], quantity, panel, **START)
+            draw_along(design.start, design.equilibria_at_start[0], quantity, panel, **start)
             draw_along(design.manipulator, design.equilibria[0], quantity, panel, **END)
             if np.max(np.abs(panel.get_ylim())) < NOTHING:
                 panel.set_ylim(-1.0, 1.0)  # differences by rounding are not drawn

@@ -1,9 +1,8 @@
-"""Figures of a history: loops over the base tension, lines along the body, and where the work goes."""
+"""Figures of a history: loops over the base tension, and where the work goes."""
 
 from collections.abc import Sequence
 from itertools import pairwise
 
-import jax
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -11,18 +10,15 @@ from matplotlib.figure import Figure
 from ..errors import InputError
 from ..history.history import History
 from ..identification.curves import ModelCurve
-from ..numerics.arrays import evaluated
 from ..quantities import QUANTITIES
 from ..robot.manipulator import Manipulator
 from . import looks, style as draw
-from .geometry import lines_along, stations
+from .along import draw_along, grouped_alike, numbered_steps, tendon_values
 
 HEIGHT = 2.4  # inches, of a figure as wide as a column
 LOOPS = ("tip_tension", "tip_angle", "tendon_displacement", "front")
 LEAST_LEG = 0.02  # of the range of a path; a shorter part has no arrow
-LINES = len(looks.CURVES)  # along the body, at most
 NUMBERED = 10  # steps that are all numbered; of more steps only some are
-SAME = 1e-8  # of the range of a quantity: points and lines that differ by less are drawn as one
 PULLED: looks.Look = {"color": looks.BLUE, "linestyle": "-", "label": "pulled"}
 RELEASED: looks.Look = {"color": looks.VERMILION, "linestyle": (0, (5, 2)), "label": "released"}
 
@@ -39,12 +35,12 @@ def history_figure(
     Raises:
         InputError: when a step failed.
     """
-    steps = _steps(history, steps, tendon)
+    steps = numbered_steps(history, steps, tendon)
     with draw.house_style():
         figure, (tension, angle, along, energy) = draw.panel_axes(4, HEIGHT)
         draw_loop(history, "tip_tension", tension, steps=steps, tendon=tendon)
         draw_loop(history, "tip_angle", angle, steps=steps, tendon=tendon)
-        draw_history_along(manipulator, history, "tension", along, steps=steps, tendon=tendon)
+        draw_along(manipulator, history, "tension", along, steps=steps, tendon=tendon)
         draw_energy(history, energy, steps=steps, tendon=tendon)
         angle.legend().remove()
         figure.align_ylabels()
@@ -75,8 +71,8 @@ def draw_loop(
     """
     if quantity not in LOOPS:
         raise InputError(f"draw_loop: quantity must be one of {', '.join(LOOPS)}, got {quantity!r}")
-    steps = _steps(history, steps, tendon)
-    x, y = _of_tendon(history.base_tension, tendon), _of_tendon(getattr(history, quantity), tendon)
+    steps = numbered_steps(history, steps, tendon)
+    x, y = tendon_values(history.base_tension, tendon), tendon_values(getattr(history, quantity), tendon)
     y = QUANTITIES[quantity].shown[0] * y
     with draw.axes_or_new(axes, HEIGHT) as axes:
         _draw_path(axes, x, y)
@@ -84,54 +80,6 @@ def draw_loop(
         axes.set(xlabel=_label(history, "base_tension", tendon), ylabel=_label(history, quantity, tendon))
         axes.margins(0.08, 0.12)
         draw.legend_above(axes)
-    return axes
-
-
-def draw_history_along(
-    manipulator: Manipulator,
-    history: History,
-    quantity: str = "tension",
-    axes: Axes | None = None,
-    *,
-    steps: Sequence[int] | None = None,
-    tendon: int = 0,
-) -> Axes:
-    """A quantity over arc length, mm, after some steps of a history, one line for each step; a dot marks the front.
-
-    Up to the front the tendon slid last, and beyond it the tendon rests. Without a dot all of it slid. Steps
-    with the same line have one line together, and steps before the first tension have none. The last six are drawn.
-
-    Args:
-        manipulator: the body that was traced.
-        history, axes: as in `draw_loop`.
-        quantity: as `draw_along` takes it.
-        steps: which of its steps, from 0, are drawn and have the numbers 1, 2, ...; those where it turns unless given.
-        tendon: whose tensions and fronts are drawn, from 0.
-
-    Raises:
-        InputError: for another quantity, or when a step failed.
-    """
-    steps, s = _steps(history, steps, tendon), stations(manipulator)
-    fields, tension = evaluated(History.at, history, s), _of_tendon(history.base_tension, tendon)
-    fronts, lines = _of_tendon(history.front, tendon), {}
-    dot: looks.Look = {"marker": "o", "markeredgecolor": looks.BLACK}
-    for number, step in enumerate(steps, 1):
-        if np.any(tension[: step + 1]):
-            own = lines_along(manipulator, jax.tree.map(lambda x, step=step: x[step], fields), quantity)
-            lines[number] = own[tendon if len(own) == manipulator.num_tendons else 0]
-    with draw.axes_or_new(axes, HEIGHT) as axes:
-        for numbers, look in zip(_alike(lines)[-LINES:], looks.CURVES, strict=False):
-            step, values = steps[numbers[0] - 1], lines[numbers[0]]
-            look: looks.Look = look | {"marker": "none", "label": f"{_listed(numbers)}: {tension[step]:.4g} N"}
-            axes.plot(1e3 * s, values, **look)
-            if (front := fronts[step]) < s[-1]:
-                axes.plot(1e3 * front, np.interp(front, s, values), color=look["color"], **dot)
-        if np.any(fronts[steps] < s[-1]):
-            axes.plot([], [], color="white", label="front", linestyle="none", **dot)
-        axes.set(xlabel=QUANTITIES["arc_length"].axis_label, ylabel=QUANTITIES[quantity].axis_label)
-        axes.set_xlim(0.0, 1e3 * s[-1])
-        axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
-        draw.legend_above(axes, 4)
     return axes
 
 
@@ -149,7 +97,7 @@ def draw_energy(
     Raises:
         InputError: when a step failed.
     """
-    steps = _steps(history, steps, tendon)
+    steps = numbered_steps(history, steps, tendon)
     of, scale = history.energies, QUANTITIES["work"].shown[0]
     work, lost, stored = (scale * np.asarray(energy) for energy in (of.work, of.friction_loss, of.stored_energy))
     at = np.interp(np.arange(len(work)), steps, np.arange(1, len(steps) + 1))
@@ -162,7 +110,7 @@ def draw_energy(
         axes.set(xlabel="Step, base tension (N)", ylabel="Energy (mJ)")
         axes.margins(0.0, 0.05)
         axes.set_ylim(bottom=min(0.0, *stored, *work))
-        tensions = _of_tendon(history.base_tension, tendon)[steps]
+        tensions = tendon_values(history.base_tension, tendon)[steps]
         named = np.arange(0, len(steps), -(-len(steps) // NUMBERED))
         axes.set_xticks(named + 1, [f"{i + 1}\n{tensions[i]:.4g}" for i in named])
         draw.legend_above(axes, 3)
@@ -189,30 +137,11 @@ def _draw_path(axes: Axes, x: np.ndarray, y: np.ndarray, what: str = "") -> None
             draw.draw_arrow(axes, x[leg], y[leg], look["color"])
 
 
-# --- numbers -------------------------------------------------------------------------------------
-
-
 def _label(history: History, quantity: str, tendon: int) -> str:
     """The label of an axis; with several tendons it has the number of the tendon."""
     label = QUANTITIES[quantity].axis_label
     per_tendon = getattr(history, quantity).ndim == 2
     return label.replace(" (", f" {tendon + 1} (", 1) if per_tendon else label
-
-
-def _steps(history: History, steps: Sequence[int] | None, tendon: int) -> list[int]:
-    """Which steps are numbered."""
-    if not np.all(np.isfinite(np.asarray(history.tip_angle))):
-        raise InputError("a step of the trace failed, there is no history to draw; see its status")
-    return draw.turning_places(_of_tendon(history.base_tension, tendon)) if steps is None else [*map(int, steps)]
-
-
-def _of_tendon(values: jax.Array, tendon: int) -> np.ndarray:
-    """The values of one tendon after each step; values that all tendons have in common stay as they are."""
-    array = np.asarray(values)
-    return array if array.ndim == 1 else array[:, tendon]
-
-
-# --- drawing -------------------------------------------------------------------------------------
 
 
 def _number_points(axes: Axes, x: np.ndarray, y: np.ndarray, steps: Sequence[int]) -> None:
@@ -223,24 +152,10 @@ def _number_points(axes: Axes, x: np.ndarray, y: np.ndarray, steps: Sequence[int
     turns, many = draw.turning_places(x), len(steps) > NUMBERED
     numbered = {number: step for number, step in enumerate(steps, 1) if step in turns or not many}
     sizes = np.array([np.ptp(x) or 1.0, np.ptp(y) or 1.0])
-    for numbers in sorted(_alike({n: np.array([x[step], y[step]]) / sizes for n, step in numbered.items()})):
+    for numbers in sorted(grouped_alike({n: np.array([x[step], y[step]]) / sizes for n, step in numbered.items()})):
         step = numbered[numbers[0]]
         at, pulled = (x[step], y[step]), x[step] >= x[max(step - 1, 0)]
         axes.plot(*at, "o", color=looks.BLACK, zorder=4)
         look: looks.Look = {"ha": "left", "va": "top"} if pulled else {"ha": "right", "va": "bottom"}
-        offset, text = (3, -3) if pulled else (-3, 3), _listed(numbers)
+        offset, text = (3, -3) if pulled else (-3, 3), ", ".join(map(str, numbers))
         axes.annotate(text, at, offset, textcoords="offset points", fontsize=7.5, zorder=5, **look)
-
-
-def _alike(lines: dict[int, np.ndarray]) -> list[list[int]]:
-    """The numbers of lines or points, grouped by equal ones; groups are in the order of their last number."""
-    groups: list[list[int]] = []
-    for number, line in lines.items():
-        near = {"rtol": 0.0, "atol": SAME * np.nanmax(np.abs(line)), "equal_nan": True}
-        same = next((group for group in groups if np.allclose(line, lines[group[0]], **near)), [])
-        groups = [*(group for group in groups if group is not same), [*same, number]]
-    return groups
-
-
-def _listed(numbers: Sequence[int]) -> str:
-    return ", ".join(map(str, numbers))

@@ -65,9 +65,6 @@ def draw_lines(dataset: "xarray.Dataset", output: str, over: str, axes: Axes | N
             label = ", ".join(value_words(array[name], i) for name, i in at.items())
             _draw_curve(axes, array.isel(at), over, look | {"label": label})
         axes.set(xlabel=axis_label(array[over]), ylabel=axis_label(array))
-        if array.attrs["yes_or_no"]:
-            axes.set_ylim(-0.15, 1.15)
-            axes.set_yticks([0, 1], ["no", "yes"])
         draw.legend_above(axes)
     return axes
 
@@ -140,10 +137,13 @@ def sweep_figure(answer: "xarray.Dataset", outputs: Sequence[str]) -> Figure:
     Raises:
         InputError: where no number varies, or too many for one figure; choose some of them with xarray.
     """
-    answer = _over_a_tension(answer.drop_dims("point", errors="ignore").squeeze(drop=True))
+    answer = answer.drop_dims("point", errors="ignore").squeeze(drop=True)
     dims = [str(dimension) for dimension in answer[RESULT].dims]
     over, path = [name for name in dims if name in answer.coords and name not in OPTIONS], answer.attrs.get(PATH)
-    over = [path] if path in over else over
+    if path in dims:
+        if path not in over:
+            raise InputError(f"several numbers vary along the path {path}; draw_lines draws an output over one of them")
+        over = [path]
     if not over:
         raise InputError("no number varies along an axis of its own; choose what to draw with xarray")
     if len(over) > 2 or (len(over) == 2 and len(dims) > 2):
@@ -163,17 +163,6 @@ def _components(answer: "xarray.Dataset", name: str) -> "list[xarray.Dataset]":
         if dimension not in answer[RESULT].dims:
             parts = [part.isel({dimension: i}) for part in parts for i in range(part.sizes[dimension])]
     return parts
-
-
-def _over_a_tension(answer: "xarray.Dataset") -> "xarray.Dataset":
-    """A path along which several numbers vary, over the base tension that varies most."""
-    path = answer.attrs.get(PATH)
-    if path in answer.coords or path not in answer.dims:
-        return answer
-    along = [name for name in varying_numbers(answer) if answer[name].dims == (path,)]
-    pulled = [name for name in along if name.startswith("base_tension")]
-    widest = max(pulled, key=lambda name: float(np.ptp(answer[name].values)))
-    return answer.swap_dims({path: widest}).assign_attrs({PATH: widest})
 
 
 def spread(size: int, most: int) -> np.ndarray:
@@ -250,8 +239,7 @@ def in_label_units(answer: "xarray.Dataset") -> "xarray.Dataset":
             scale, unit = preferred("strain")
         # integers and booleans cannot be NaN: other outputs show where there is no number
         values = array if array.dtype.kind == "f" else array.where(there).transpose(*array.dims)
-        attrs = {"words": name_in_words(name), "unit": unit, "yes_or_no": array.dtype.kind == "b"}
-        attrs["is_path"] = name == answer.attrs.get(PATH)
+        attrs = {"words": name_in_words(name), "unit": unit, "is_path": name == answer.attrs.get(PATH)}
         return array.dims, np.asarray(scale * values), attrs
 
     outputs = {name: shown(array) for name, array in answer.data_vars.items() if name != RESULT}

@@ -13,13 +13,12 @@ from ..statics.named_numbers import stem_and_tendon
 from ..statics.status import Status
 from ..sweeping.one_solve import RESULT
 from . import looks, space, style as draw
-from .sweeps import axis_label, in_label_units, results_in_words, spread
+from .sweeps import axis_label, in_label_units, results_in_words, spread, varying_numbers
 
 if TYPE_CHECKING:
     import xarray
 
 MOST = 20_000  # dots, spread over all solves
-TOTAL = "total_tension"
 
 
 class Cloud(NamedTuple):
@@ -37,7 +36,9 @@ class Cloud(NamedTuple):
         return Normalize(self.values.min(), self.values.max())
 
 
-def draw_workspace(dataset: "xarray.Dataset", by: "str | xarray.DataArray" = TOTAL, axes: Axes | None = None) -> Axes:
+def draw_workspace(
+    dataset: "xarray.Dataset", by: "str | xarray.DataArray | None" = None, axes: Axes | None = None
+) -> Axes:
     """Where the tip goes in a sweep, mm, a dot for each solve, coloured by a quantity; in space with shadows.
 
     Doubtful solves are hollow, and failed ones are left out; the legend says why. If there are more than 20,000 solves,
@@ -45,22 +46,23 @@ def draw_workspace(dataset: "xarray.Dataset", by: "str | xarray.DataArray" = TOT
 
     Args:
         dataset: of `sweep`, with the output tip_position.
-        by: what colours the dots: "total_tension", the sum of the base tensions; the name of another number that varies
-            or of an output with one number for each solve, such as "tip_angle"; or an array with one number for each
-            solve, whose name and attribute "units" label the colour scale, such as (dataset.tip_tension.sum("tendon") /
-            dataset.base_tension.sum("tendon")).rename("tension that arrives").assign_attrs(units="1").
+        by: what colours the dots: the name of a number that varies or of an output with one number for each solve, such
+            as "tip_angle"; or an array with one number for each solve, whose name and attribute "units" label the
+            colour scale, such as (dataset.tip_tension.sum("tendon") /
+            dataset.base_tension.sum("tendon")).rename("tension that arrives").assign_attrs(units="1"). None for the sum
+            of the base tensions, or the first number that varies where they are not all known.
         axes: where to draw, of a body in space with projection="3d"; None for a new figure, one column wide.
 
     Raises:
         InputError: for a dataset without tips or without a successful solve, or a name that is not there.
     """
-    cloud = _cloud("draw_workspace", dataset, by)
+    cloud = _cloud(dataset, by)
     with draw.axes_or_new(axes, space.HEIGHT, in_space=cloud.in_space) as axes:
         _draw_cloud(axes, cloud)
     return axes
 
 
-def workspace_figure(dataset: "xarray.Dataset", by: "str | xarray.DataArray" = TOTAL) -> Figure:
+def workspace_figure(dataset: "xarray.Dataset", by: "str | xarray.DataArray | None" = None) -> Figure:
     """Where the tip goes in a sweep: in space as a cloud in three dimensions, with three plane views to one scale.
 
     Args:
@@ -69,23 +71,23 @@ def workspace_figure(dataset: "xarray.Dataset", by: "str | xarray.DataArray" = T
     Raises:
         InputError: as `draw_workspace`.
     """
-    cloud = _cloud("workspace_figure", dataset, by)
+    cloud = _cloud(dataset, by)
     if not cloud.in_space:
         return draw.figure_of(draw_workspace(dataset, by))
     with draw.house_style():
-        figure, above = space.figure_with_views(3.0, cloud.tips, lambda axes, plane: _draw_dots(axes, cloud, plane))
+        figure, above = space.figure_with_views(3.0, cloud.tips, lambda axes, plane: _draw_view(axes, cloud, plane))
         _draw_cloud(above.add_subplot(projection="3d"), cloud)
     return figure
 
 
-def _cloud(who: str, dataset: "xarray.Dataset", by: "str | xarray.DataArray") -> Cloud:
+def _cloud(dataset: "xarray.Dataset", by: "str | xarray.DataArray | None") -> Cloud:
     """Tips and values, in the units of their labels."""
     if "tip_position" not in dataset.data_vars or RESULT not in dataset:
-        raise InputError(f"{who}: there is no tip_position; ask the sweep for it, with outputs=('tip_position',)")
-    array = _coloured_by(who, dataset, by)
+        raise InputError("workspace: there is no tip_position; ask the sweep for it, with outputs=('tip_position',)")
+    array = _coloured_by(dataset, by)
     swept = dataset[RESULT].dims
     if several := [str(dim) for dim in array.dims if dim not in swept]:
-        raise InputError(f"{who}: {array.name} has more than one number for each solve; choose one {several[0]}")
+        raise InputError(f"workspace: {array.name} has more than one number for each solve; choose one {several[0]}")
     name, given = str(array.name), dataset[["tip_position", RESULT]].load()
     shown = in_label_units(given.assign({name: array.load()}))
     codes = given[RESULT].values.ravel()
@@ -93,7 +95,7 @@ def _cloud(who: str, dataset: "xarray.Dataset", by: "str | xarray.DataArray") ->
     values = shown[name].broadcast_like(given[RESULT]).transpose(*swept).values.ravel()
     there = np.flatnonzero(np.all(np.isfinite(tips), axis=1) & np.isfinite(values))
     if not there.size:
-        raise InputError(f"{who}: no solve gave a tip; see the results of the sweep")
+        raise InputError("workspace: no solve gave a tip; see the results of the sweep")
     count = f"no number: {len(codes) - len(there):,} of {len(codes):,}"
     lost = ", ".join(filter(None, [count, results_in_words(np.delete(codes, there))]))
     some, components = there[spread(len(there), MOST)], tips.shape[1]
@@ -102,31 +104,24 @@ def _cloud(who: str, dataset: "xarray.Dataset", by: "str | xarray.DataArray") ->
     return Cloud(places, values[some], codes[some], axis_label(shown[name]), words, components == 3)
 
 
-def _coloured_by(who: str, dataset: "xarray.Dataset", by: "str | xarray.DataArray") -> "xarray.DataArray":
+def _coloured_by(dataset: "xarray.Dataset", by: "str | xarray.DataArray | None") -> "xarray.DataArray":
     """One number for each solve."""
+    numbers = varying_numbers(dataset)
+    if by is None:
+        parts = [dataset[name] for name in numbers if stem_and_tendon(name)[0] == "base_tension"]
+        if "base_tension" in dataset.data_vars:
+            parts = [dataset["base_tension"].sum("tendon", skipna=False)]
+        elif len(parts) != dataset.sizes.get("tendon"):
+            parts = []
+        if parts:
+            return sum(parts[1:], parts[0]).rename("total_tension").assign_attrs(units="N")
+        by = numbers[0] if numbers else "base_tension"
     if not isinstance(by, str):
         return by if by.name else by.rename("colour")
-    if by == TOTAL and TOTAL not in dataset:
-        return _total_tension(who, dataset)
     if by not in dataset:
         there = ", ".join(map(str, (*dataset.data_vars, *dataset.coords)))
-        raise InputError(f"{who}: {by!r} is neither an output nor a number that varies; there are {there}")
+        raise InputError(f"workspace: {by!r} is neither an output nor a number that varies; there are {there}")
     return dataset[by].squeeze(drop=True) if by not in dataset.dims else dataset[by]
-
-
-def _total_tension(who: str, dataset: "xarray.Dataset") -> "xarray.DataArray":
-    """The sum of all base tensions, N."""
-    count, remedy = dataset.sizes.get("tendon"), "ask the sweep for the output 'base_tension', or give by="
-    parts = [dataset[name] for name in map(str, dataset.coords) if stem_and_tendon(name)[0] == "base_tension"]
-    if "base_tension" in dataset.data_vars:
-        total = dataset["base_tension"].sum("tendon", skipna=False)
-    elif count is not None and len(parts) == 1 and parts[0].name == "base_tension":
-        total = count * parts[0]
-    elif parts and len(parts) == count:
-        total = sum(parts[1:], parts[0])
-    else:
-        raise InputError(f"{who}: not every base tension is known here; {remedy}")
-    return total.rename(TOTAL).assign_attrs(units="N")
 
 
 # --- drawing -------------------------------------------------------------------------------------
@@ -135,45 +130,41 @@ def _total_tension(who: str, dataset: "xarray.Dataset") -> "xarray.DataArray":
 def _draw_cloud(axes: Axes, cloud: Cloud) -> None:
     """The whole cloud with its scale of colours and its legend: in the plane, or in space with shadows on the walls."""
     if not cloud.in_space:
-        _draw_dots(axes, cloud, "XY")
+        _draw_view(axes, cloud, "XY")
         draw.to_scale(axes)
     else:
         scene = space.set_scene(axes, cloud.tips)
         for across, wall in enumerate(space.walls_behind(scene)):
             flat = np.insert(np.delete(cloud.tips, across, axis=1), across, wall, axis=1)
             _scatter(scene, cloud, flat, color=looks.PALE, zorder=1)
-        _draw_coloured(scene, cloud, space.sight(), [0, 1, 2])
+        _draw_dots(scene, cloud, space.sight(), [0, 1, 2])
     draw.scale_beside(axes, cloud.norm, cloud.label)
-    entries: list[Line2D] = []
     look: looks.Look = {"color": looks.BLACK, "marker": "o", "markerfacecolor": "white", "linestyle": "none"}
-    if doubtful := results_in_words(cloud.codes):
-        entries.append(Line2D([], [], label=f"hollow: doubtful, {doubtful}", **look))
-    if cloud.lost:
-        entries.append(Line2D([], [], linestyle="none", label=cloud.lost))
-    if entries:
+    doubtful, lost = results_in_words(cloud.codes), Line2D([], [], linestyle="none", label=cloud.lost)
+    entries = [Line2D([], [], label=f"hollow: doubtful, {doubtful}", **look)] if doubtful else []
+    if entries := [*entries, *([lost] if cloud.lost else [])]:
         axes.legend(handles=entries, loc="upper left")
 
 
-def _draw_dots(axes: Axes, cloud: Cloud, plane: str) -> None:
+def _draw_view(axes: Axes, cloud: Cloud, plane: str) -> None:
     """The dots in a plane."""
-    _draw_coloured(axes, cloud, np.array(space.TOWARDS[plane]), list(space.VIEWS[plane][:2]))
+    _draw_dots(axes, cloud, np.array(space.TOWARDS[plane]), list(space.VIEWS[plane][:2]))
     axes.set(xlabel=f"${plane[0]}$ (mm)", ylabel=f"${plane[1]}$ (mm)")
 
 
-def _draw_coloured(axes: Axes, cloud: Cloud, sight: np.ndarray, shown: list[int]) -> None:
+def _draw_dots(axes: Axes, cloud: Cloud, sight: np.ndarray, shown: list[int]) -> None:
     """Dots in some of the three coordinates, the nearest on top, hollow where they are doubtful."""
     order = np.argsort(cloud.tips @ sight, kind="stable")
     tips, values, sure = cloud.tips[order][:, shown], cloud.values[order], cloud.codes[order] == Status.successful
-    look: looks.Look = {"cmap": draw.TENSION_COLOURS, "norm": cloud.norm, "zorder": 3}
-    _scatter(axes, cloud, tips[sure], c=values[sure], **look)
-    if not np.all(sure):
-        edges = draw.TENSION_COLOURS(cloud.norm(values[~sure]))
-        _scatter(axes, cloud, tips[~sure], facecolors="white", edgecolors=edges, linewidths=0.6, zorder=3.5)
+    _scatter(axes, cloud, tips[sure], c=values[sure], cmap=draw.TENSION_COLOURS, norm=cloud.norm, zorder=3)
+    edges = draw.TENSION_COLOURS(cloud.norm(values[~sure]))
+    _scatter(axes, cloud, tips[~sure], facecolors="white", edgecolors=edges, linewidths=0.6, zorder=3.5)
 
 
 def _scatter(axes: Axes, cloud: Cloud, points: np.ndarray, **look: looks.LookValue) -> None:
     """Some dots of a cloud, which are the smaller the more it has."""
     if points.shape[1] == 3:
         look["depthshade"] = False
-    area = np.clip(3600.0 / len(cloud.tips), 0.6, 12.0)
-    axes.scatter(*points.T, s=area, rasterized=len(points) > 500, **({"linewidths": 0.0} | look))
+    if len(points):
+        area = np.clip(3600.0 / len(cloud.tips), 0.6, 12.0)
+        axes.scatter(*points.T, s=area, rasterized=len(points) > 500, **({"linewidths": 0.0} | look))

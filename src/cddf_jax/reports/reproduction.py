@@ -145,8 +145,8 @@ def iterations_figure(results: PaperResults) -> Figure:
 def distributed_forces_figure(results: PaperResults) -> Figure:
     """Fig. 5: normal and friction force per length, and the tension, along the body."""
     body, equilibrium = results.manipulator, results.at_pull(PULL)
-    normal = {"color": looks.BLUE, "label": "normal, $|F_\\mathrm{CDDN}|$"}
-    friction = {"color": looks.VERMILION, "linestyle": "--", "label": "friction, $|F_\\mathrm{CDDF}|$"}
+    normal: looks.Look = {"color": looks.BLUE, "label": "normal, $|F_\\mathrm{CDDN}|$"}
+    friction: looks.Look = {"color": looks.VERMILION, "linestyle": "--", "label": "friction, $|F_\\mathrm{CDDF}|$"}
     with draw.house_style():
         figure = draw.new_figure(draw.SINGLE_COLUMN, 3.2)
         forces, tension = figure.subplots(2, sharex=True, height_ratios=(3, 2))

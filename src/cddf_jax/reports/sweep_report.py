@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -139,11 +140,8 @@ def sweep_report(work: Sweep, answer: "xarray.Dataset", summary: Json, name: str
         no_figure = str(error)
     tips = answer.data_vars.get("tip_position")
     if tips is not None and tips.sizes["component"] == 3 and bool(tips.notnull().all("component").any()):
-        try:
-            cloud = figures.workspace_figure(answer)
-        except InputError:  # not every base tension is known
-            cloud = figures.workspace_figure(answer, next(name for axis in work.dimensions for name in axis.numbers))
-        made[f"{name}_workspace"] = cloud
+        with suppress(InputError):  # no number varies
+            made[f"{name}_workspace"] = figures.workspace_figure(answer)
     along = [output for output in work.outputs if output not in drawn]
     told = summary | {"no_figure": no_figure, "only_in_store": along}
     failure = "" if "successful" in summary["results"] else "no solve was successful; see the results"
