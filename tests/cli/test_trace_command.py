@@ -174,6 +174,18 @@ def test_what_was_before_the_path(cddf_command, robot, monkeypatch):
     assert told == [[75.0]]
 
 
+def test_tip_angles_under_loads_are_no_tensions(cddf_command, robot, monkeypatch):
+    def stop(body, given, *_, **options):
+        (goal,) = given
+        assert isinstance(goal, cddf.TipAngle)
+        assert np.degrees(np.asarray(goal.value))[-1] == pytest.approx(30.0)
+        raise cddf.InputError("far enough")
+
+    monkeypatch.setattr("cddf_jax.reports.trace_report.trace", stop)
+    code, _, error = cddf_command("trace", robot, "--path", "60 deg, 30 deg", "--tip-force", "0 N, 0.1 N")
+    assert (code, error) == (2, f"error: {robot}: far enough\n")
+
+
 @pytest.mark.parametrize(
     ("second", "start", "before"), [("20 N", [75.0, 5.0], "rest"), ("2 mm", [40.0, 2e-3], [75.0, 5.0])]
 )

@@ -71,21 +71,16 @@ def traced(
         short_steps: as `trace` takes them, for each point.
         before: the largest base tension of each tendon before the paths, N; None for rest.
     """
-    is_exact = len(paths) == 1 and loads is None
     by_tension = {*driven} == {"force"}
     earlier = np.zeros(len(paths)) if before is None else np.array(before)
     by_steps = by_tension or before is None  # whether what was before is a step of the path
     start, past = (earlier, "rest") if by_steps else (np.array(paths)[:, 0], earlier)  # where the paths come from
-    fine = FINE if is_exact and not manipulator.in_space else FINE_IN_STEPS
+    fine = FINE if len(paths) == 1 and loads is None and not manipulator.in_space else FINE_IN_STEPS
     values, steps = _with_points_between(np.array(paths).T, start, fine)
     with stage("tracing"):
-        if is_exact:
-            history = trace(manipulator, TARGETS[driven[0]](values[:, 0]), before=past, nodes=nodes, throw=False)
-        else:
-            columns = [Displacement(x) if kind == "length" else x for x, kind in zip(values.T, driven, strict=True)]
-            given = values if by_tension else columns
-            follow = partial(trace, nodes=nodes, short_steps=short_steps, throw=False)
-            history = follow(manipulator, given, loads, before=past)
+        given = values if by_tension else [TARGETS[kind](x) for x, kind in zip(values.T, driven, strict=True)]
+        follow = partial(trace, nodes=nodes, short_steps=short_steps, throw=False)
+        history = follow(manipulator, given, loads, before=past)
         _check(history, steps, values, driven)
         return TracedPath(manipulator, history, steps.tolist(), history_numbers(history), loads)
 
