@@ -1,5 +1,7 @@
 """The bent body to scale, mm: tendons coloured by tension with loads as arrows, or the forces of the tendons."""
 
+from functools import partial
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -33,10 +35,7 @@ def equilibrium_figure(manipulator: Manipulator, equilibrium: Equilibrium, loads
     what = bent_body(manipulator, equilibrium, loads)
     with draw.house_style():
         if what.in_space:
-            rows = -(-manipulator.num_tendons // 3)  # of the legend
-            figure, above = space.figure_with_views(
-                3.2 + 0.16 * rows, what.points, lambda axes, plane: space.draw_view(axes, what, plane)
-            )
+            figure, above = space.figure_with_views(3.4, what.points, partial(space.draw_view, what))
             grid = above.add_gridspec(2, 2, width_ratios=(1.4, 1))
             draw_bent(what, above.add_subplot(grid[:, 0], projection="3d"))
             tension, curvature = (above.add_subplot(grid[row, 1]) for row in (0, 1))

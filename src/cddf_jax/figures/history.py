@@ -37,7 +37,8 @@ def history_figure(
     """
     steps = numbered_steps(history, steps, tendon)
     with draw.house_style():
-        figure, (tension, angle, along, energy) = draw.panel_axes(4, HEIGHT)
+        figure = draw.new_figure(draw.DOUBLE_COLUMN, 2 * HEIGHT + 0.3)
+        tension, angle, along, energy = figure.subplots(2, 2).ravel()
         draw_loop(history, "tip_tension", tension, steps=steps, tendon=tendon)
         draw_loop(history, "tip_angle", angle, steps=steps, tendon=tendon)
         draw_along(manipulator, history, "tension", along, steps=steps, tendon=tendon)

@@ -115,7 +115,7 @@ def _draw_tube(axes: Axes3D, body: Body) -> None:
 # --- in a plane ----------------------------------------------------------------------------------
 
 
-def draw_view(axes: Axes, what: Drawn, plane: str) -> None:
+def draw_view(what: Drawn, axes: Axes, plane: str) -> None:
     """Body, tendons and loads as seen along the third axis, to scale."""
     right, up, _ = VIEWS[plane]
     flat, polygons = [right, up], silhouette(what.body, VIEWS[plane][:2])

@@ -62,21 +62,13 @@ def new_figure(width: float, height: float) -> Figure:
     return HouseFigure(figsize=(width, height), layout="constrained")
 
 
-def panel_axes(count: int, height: float) -> tuple[Figure, list[Axes]]:
-    """A figure with `count` panels of one height, inches, two in a row; call it within `house_style`."""
-    columns = min(count, 2)
-    rows = -(-count // columns)
-    figure = new_figure(SINGLE_COLUMN if columns == 1 else DOUBLE_COLUMN, height * rows + 0.3)
-    axes = figure.subplots(rows, columns, squeeze=False).ravel().tolist()
-    for unused in axes[count:]:
-        unused.remove()
-    return figure, axes[:count]
-
-
 def panels_figure(draw: Callable[[Axes, Item], object], items: Sequence[Item], height: float) -> Figure:
-    """A panel for each item, drawn by a function, with one legend above them all."""
+    """A panel of one height, inches, for each item, two in a row, drawn by a function, with one legend above."""
+    columns = min(len(items), 2)
+    rows = -(-len(items) // columns)
     with house_style():
-        figure, panels = panel_axes(len(items), height)
+        figure = new_figure(SINGLE_COLUMN if columns == 1 else DOUBLE_COLUMN, height * rows + 0.3)
+        panels = [figure.add_subplot(rows, columns, i + 1) for i in range(len(items))]
         for panel, item in zip(panels, items, strict=True):
             draw(panel, item)
         common_legend(figure, panels)

@@ -27,7 +27,7 @@ from .report import Content, Report, versions
 if TYPE_CHECKING:
     import xarray
 
-NETCDF_MOST = 2**31 - 1  # bytes of one variable of a NetCDF 3 file, as SciPy writes it
+NETCDF_MOST = 2**31 - 1  # bytes of a NetCDF file; SciPy writes no larger variables
 
 
 class Places(NamedTuple):
@@ -64,15 +64,10 @@ def _check_places(places: Places, work: Sweep) -> None:
             with within(option):
                 check_folder(path.parent)
     layout = work.layout
-    if netcdf is not None:
-        largest = max(int(np.prod(v.shape)) * v.dtype.itemsize for v in layout.variables.values())
-        if largest > NETCDF_MOST:
-            size = filesize.decimal(largest)
-            raise InputError(f"--netcdf {netcdf}: a variable has {size}, NetCDF 3 takes 2 GB; use the Zarr store")
-        total = 2 * layout.size * layout.bytes_each  # as it is read and as it is written
-        if total > work.allowed:
-            size, allowed = filesize.decimal(total), filesize.decimal(int(work.allowed))
-            raise InputError(f"--netcdf {netcdf}: takes {size} of memory, {allowed} are allowed; use the Zarr store")
+    size, most = layout.size * layout.bytes_each, min(NETCDF_MOST, int(work.allowed) // 2)  # it is held twice
+    if netcdf is not None and size > most:
+        sizes = f"the answer has {filesize.decimal(size)}, {filesize.decimal(most)} can be written at once"
+        raise InputError(f"--netcdf {netcdf}: {sizes}; use the Zarr store")
     if csv is not None and not any(name not in VERDICTS and is_short(layout, name) for name in layout.variables):
         raise InputError(f"--csv {csv}: a table takes no outputs along the body; add one such as tip_tension")
 
@@ -91,7 +86,7 @@ def run_sweep(work: Sweep, places: Places, options: Mapping[str, object]) -> "tu
     The options of the command line go into the summary. All processes but the first return None.
     """
     _check_places(places, work)
-    before, _ = _there_already(work, places.store)
+    before = _there_already(work, places.store)
     start = time.perf_counter()
     answer = work.run(places.store)
     seconds = time.perf_counter() - start
@@ -112,13 +107,12 @@ def run_sweep(work: Sweep, places: Places, options: Mapping[str, object]) -> "tu
     return answer, summary
 
 
-def _there_already(work: Sweep, store: Path) -> tuple[int, int]:
-    """The number of solves and of chunks that a store has already."""
+def _there_already(work: Sweep, store: Path) -> int:
+    """The number of solves that a store has already."""
     if not store.exists():
-        return 0, 0
+        return 0
     opened = ZarrStore(store, work.layout, work.identity, create=False)
-    there = [index for index in opened.layout.indices() if opened.has(index)]
-    return sum(map(opened.layout.count, there)), len(there)
+    return sum(opened.layout.count(index) for index in opened.layout.indices() if opened.has(index))
 
 
 @stage("writing")
@@ -131,7 +125,7 @@ def write_exports(work: Sweep, answer: "xarray.Dataset", places: Places) -> None
 
 
 def sweep_report(work: Sweep, answer: "xarray.Dataset", summary: Json, name: str) -> Report:
-    """The summary of `run_sweep` and the figures; it says why there is no figure, and what no figure shows."""
+    """The summary of `run_sweep` and the figures; it says why there is no figure."""
     drawn, no_figure = [output for output in work.outputs if is_short(work.layout, output)], ""
     made: dict[str, Content] = {}
     try:
@@ -142,8 +136,7 @@ def sweep_report(work: Sweep, answer: "xarray.Dataset", summary: Json, name: str
     if tips is not None and tips.sizes["component"] == 3 and bool(tips.notnull().all("component").any()):
         with suppress(InputError):  # no number varies
             made[f"{name}_workspace"] = figures.workspace_figure(answer)
-    along = [output for output in work.outputs if output not in drawn]
-    told = summary | {"no_figure": no_figure, "only_in_store": along}
+    told: Json = summary | {"no_figure": no_figure}
     failure = "" if "successful" in summary["results"] else "no solve was successful; see the results"
     return Report(name, summary_in_words(told), told, lambda: made, failure)
 
@@ -186,14 +179,12 @@ def rehearse(work: Sweep, places: Places | None) -> Json:
     """The number of solves, memory and disk of a sweep, without solving or writing anything."""
     layout, store = work.layout, None
     if places is not None:
-        solves, chunks = _there_already(work, places.store)
-        store = {"path": in_utf8(places.store), "solves_there": solves, "chunks_there": chunks}
+        store = {"path": in_utf8(places.store), "solves_there": _there_already(work, places.store)}
     return {
         "solves": layout.size,
         "axes": _axes(work),
         "outputs": [name for name in layout.variables if name not in VERDICTS],
         "bytes": layout.size * layout.bytes_each,
-        "chunks": {"count": len(list(layout.indices())), "shape": layout.chunks, "solves": layout.chunk_size},
         "memory": {"needed": COPIES * layout.bytes_each * layout.chunk_size, "allowed": work.allowed},
         "store": store,
     }
@@ -213,25 +204,20 @@ def summary_in_words(summary: Json) -> str:
     lines += [f"{name.replace('_', ' ')}: {words_of(Status[name])}" for name in failed]
     lines += _ranges(summary["outputs"])
     lines += [f"no figure: {summary['no_figure']}"] if summary["no_figure"] else []
-    if along := ", ".join(summary["only_in_store"]):
-        lines.append(f"in no figure or table, as they run along the body: {along}")
     return "\n".join(lines)
 
 
 def rehearsal_in_words(expected: Json) -> str:
     """The answer of `rehearse` for the terminal."""
-    chunks, memory, store = expected["chunks"], expected["memory"], expected["store"]
+    memory, store = expected["memory"], expected["store"]
     lines = [
         f"{expected['solves']:,} solves",
         *(f"{axis['dimension']}: {_axis_in_words(axis)}" for axis in expected["axes"]),
         f"answer: {', '.join(expected['outputs'])}; {filesize.decimal(expected['bytes'])} on disk at most",
-        f"chunks: {chunks['count']:,} of {' x '.join(map(str, chunks['shape']))} solves at most",
         f"memory: {filesize.decimal(memory['needed'])} needed, {filesize.decimal(int(memory['allowed']))} allowed",
     ]
     if store is not None:
-        there = f"{store['chunks_there']:,} of {chunks['count']:,} chunks are there already"
-        solves = f"{there}, {store['solves_there']:,} solves"
-        lines.append(f"{store['path']}: {solves if store['chunks_there'] else 'nothing there yet'}")
+        lines.append(f"{store['path']}: {store['solves_there']:,} solves are there already")
     return "\n".join(lines)
 
 
