@@ -69,7 +69,7 @@ def draw_design(design: Design, axes: Axes | None = None) -> Axes:
 def draw_trade_off(front: ParetoFront, axes: Axes | None = None) -> Axes:
     """The two objectives against each other: a point for each design, and a square for the start.
 
-    Designs that are not stationary are hollow. The legend gives a start that is too far away to be drawn.
+    Designs that are not stationary are hollow.
 
     Args:
         front: of `pareto_front`.
@@ -84,10 +84,7 @@ def draw_trade_off(front: ParetoFront, axes: Axes | None = None) -> Axes:
         if np.any(~good & np.isfinite(x)):
             axes.plot(x[~good], y[~good], "o", color=looks.VERMILION, markerfacecolor="white", label="not stationary")
         start = [value * factor for value, (factor, _) in zip(front.start, scale, strict=True)]
-        ends = [(np.nanmin(values), np.nanmax(values)) for values in (x, y)]
-        near = all(2 * low - high <= at <= 2 * high - low for at, (low, high) in zip(start, ends, strict=True))
-        words = "start" if near else f"start: {start[0]:.3g}, {start[1]:.3g}"
-        axes.plot(*(start if near else ([], [])), "s", color=looks.GREY, label=words)
+        axes.plot(*start, "s", color=looks.GREY, label="start")
         for set_label, name, (_, unit) in zip((axes.set_xlabel, axes.set_ylabel), front.names, scale, strict=True):
             words = re.sub("^(least|most) ", "", name).replace("_", " ").capitalize()
             raised = re.sub(r"\^(-?\d+)", r"$^{\1}$", unit)  # exponents as they are set: cm^3

@@ -139,7 +139,6 @@ def fit_in_words(fit: Fit) -> str:
     lines = list(fit.verdict)
     if alone := _each_alone(fit):
         lines += ["", "each table alone determines:", *(f"  {line}" for line in alone)]
-    lines += [short_steps_in_words(fit)] if fit.moved_by_steps else []
     lines += [f"simulated data: {simulated}"] if (simulated := _simulated_names(fit)) else []
     lines.append(f"kinematics: {fit.manipulator.kinematics}")
     return "\n".join(lines + [f"warning: {warning}" for warning in fit.warnings])
@@ -222,14 +221,9 @@ def _goodness(fit: Fit) -> list[str]:
         lines.append(f"Mean relative error of the tip tensions, the measure of Liu et al. (2020): {error}.")
     criteria = ", ".join(f"{name} {value:.5g}" for name, value in fit.information_criteria.items())
     if fit.moved_by_steps:
-        lines.append(short_steps_in_words(fit))
+        most = f"{max(fit.moved_by_steps.values()):.2g} of their standard errors"
+        lines.append(f"The increments of the history move the estimates by at most {most}.")
     return [*lines, f"Reduced chi-square {fit.reduced_chi_square:.3g}; {criteria}."]
-
-
-def short_steps_in_words(fit: Fit) -> str:
-    """The error that the increments of a history leave."""
-    most = max(fit.moved_by_steps.values())
-    return f"The increments of the history move the estimates by at most {most:.2g} of their standard errors."
 
 
 def _correlation(fit: Fit) -> list[str]:

@@ -35,23 +35,15 @@ class PaperResults(NamedTuple):
     """Everything that is drawn and tabulated, as NumPy arrays in SI units."""
 
     manipulator: Manipulator
-    equilibria: Equilibrium  # base tensions first, `PULLS`
-    history: IterationHistory  # base tensions `HISTORY_PULLS` first
+    light: Equilibrium  # at `LIGHT_PULL`
+    strong: Equilibrium  # at `PULL`
+    tip_tension: np.ndarray  # at `PULLS`
+    histories: IterationHistory  # base tensions `HISTORY_PULLS` first
+    history: IterationHistory  # at `PULL`
     trials: str  # in words
     base_tension: np.ndarray  # of the trials, where the tip tension was read too
     observed: np.ndarray  # tip tension of the trials
     predicted: np.ndarray  # the same by the model
-
-    @property
-    def tip_tension(self) -> np.ndarray:
-        """At `PULLS`."""
-        return np.asarray(self.equilibria.tip_tension)[:, 0]
-
-    def at_pull(self, base_tension: float) -> Equilibrium:
-        return jax.tree.map(lambda x: x[np.searchsorted(PULLS, base_tension)], self.equilibria)
-
-    def history_at_pull(self) -> IterationHistory:
-        return jax.tree.map(lambda x: x[np.searchsorted(HISTORY_PULLS, PULL)], self.history)
 
 
 def reproduce(manipulator: Manipulator, load_cells: Measurements) -> Report:
@@ -94,12 +86,13 @@ def computed(manipulator: Manipulator, load_cells: Measurements) -> PaperResults
     good = equilibria.status == Status.successful
     if not np.all(good):
         solve(manipulator, pulls[np.argmin(good)])  # raises and says why
-    curve = jax.tree.map(lambda x: x[: len(PULLS)], equilibria)
-    predicted = equilibria.tip_tension[len(PULLS) :, 0]
+    light, strong = (jax.tree.map(lambda x, i=i: x[i], equilibria) for i in np.searchsorted(PULLS, (LIGHT_PULL, PULL)))
+    line, predicted = np.split(np.asarray(equilibria.tip_tension)[:, 0], [len(PULLS)])
     iterate = partial(iteration_history, max_updates=HISTORY_UPDATES, nodes=64)
-    history = evaluated(jax.vmap(iterate, (None, 0)), manipulator, HISTORY_PULLS)
+    histories = evaluated(jax.vmap(iterate, (None, 0)), manipulator, HISTORY_PULLS)
+    history = jax.tree.map(lambda x: x[np.searchsorted(HISTORY_PULLS, PULL)], histories)
     trials = "simulated trials" if load_cells.simulated else "trials"
-    return PaperResults(manipulator, curve, history, trials, base, observed, predicted)
+    return PaperResults(manipulator, light, strong, line, histories, history, trials, base, observed, predicted)
 
 
 # --- figures -------------------------------------------------------------------------------------
@@ -107,7 +100,7 @@ def computed(manipulator: Manipulator, load_cells: Measurements) -> PaperResults
 
 def tip_error_figure(results: PaperResults) -> Figure:
     """Fig. 3: how far each update of the paper's algorithm moves the tip."""
-    history = results.history
+    history = results.histories
     updates = np.arange(1, HISTORY_UPDATES + 1)
     with draw.axes_or_new(None, 2.5) as axes:
         for pull, error, curve in zip(HISTORY_PULLS, history.tip_error, looks.CURVES, strict=True):
@@ -123,7 +116,7 @@ def tip_error_figure(results: PaperResults) -> Figure:
 
 def iterations_figure(results: PaperResults) -> Figure:
     """Fig. 4: the midline at each iteration, from the frictionless start."""
-    history = results.history_at_pull()
+    history = results.history
     midlines = 1e3 * history.position[: int(history.num_updates) + 1]
     with draw.axes_or_new(None, 2.45) as axes:
         near_tip = axes.inset_axes((0.09, 0.42, 0.48, 0.56))
@@ -144,7 +137,7 @@ def iterations_figure(results: PaperResults) -> Figure:
 
 def distributed_forces_figure(results: PaperResults) -> Figure:
     """Fig. 5: normal and friction force per length, and the tension, along the body."""
-    body, equilibrium = results.manipulator, results.at_pull(PULL)
+    body, equilibrium = results.manipulator, results.strong
     normal: looks.Look = {"color": looks.BLUE, "label": "normal, $|F_\\mathrm{CDDN}|$"}
     friction: looks.Look = {"color": looks.VERMILION, "linestyle": "--", "label": "friction, $|F_\\mathrm{CDDF}|$"}
     with draw.house_style():
@@ -163,9 +156,10 @@ def shapes_figure(results: PaperResults) -> Figure:
     """Fig. 6: the body to scale with the forces of its tendon, under a light and a strong pull."""
     with draw.house_style():
         figure = draw.new_figure(draw.DOUBLE_COLUMN, 2.6)
-        for axes, pull in zip(figure.subplots(1, 2, sharex=True, sharey=True), (LIGHT_PULL, PULL), strict=True):
-            draw_force_arrows(results.manipulator, results.at_pull(pull), axes)
-            axes.set_title(f"$T_\\mathrm{{base}}$ = {pull:g} N")
+        both = figure.subplots(1, 2, sharex=True, sharey=True)
+        for axes, bent in zip(both, (results.light, results.strong), strict=True):
+            draw_force_arrows(results.manipulator, bent, axes)
+            axes.set_title(f"$T_\\mathrm{{base}}$ = {bent.base_tension[0]:g} N")
             axes.label_outer()
     return figure
 
@@ -214,7 +208,7 @@ class ComparedNumber(NamedTuple):
 def compared_numbers(results: PaperResults) -> list[ComparedNumber]:
     """The numbers that section IV of the paper prints."""
     loss = 1 - results.tip_tension[np.searchsorted(PULLS, PULL)] / PULL
-    updates = int(results.history_at_pull().num_updates)
+    updates = int(results.history.num_updates)
     levels = len(by_level(results.base_tension, results.observed)[0])
     there = results.observed > 0
     error = float(np.mean(np.abs(results.predicted[there] / results.observed[there] - 1)))
