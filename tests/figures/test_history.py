@@ -4,7 +4,6 @@ import jax
 import numpy as np
 import pytest
 from bodies import paper_body
-from kinds import of_kind
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.text import Annotation
@@ -74,15 +73,6 @@ def test_where_the_work_goes(history):
     assert legend_of(axes) == ["stored in the body", "lost to friction", "work put in"]
     assert [label.get_text() for label in axes.get_xticklabels()][:3] == ["1\n0", "2\n75", "3\n60"]
     assert sum(isinstance(area, PolyCollection) for area in axes.collections) == 2
-
-
-def test_without_axes_there_is_a_figure_of_one_column(history):
-    for axes in (
-        figures.draw_loop(history),
-        figures.draw_energy(history),
-        figures.draw_along(BODY, history, "tension"),
-    ):
-        assert of_kind(Figure, axes.figure).get_figwidth() == figures.SINGLE_COLUMN
 
 
 def test_the_whole_figure(history):

@@ -77,9 +77,9 @@ def draw_bent(what: Drawn, axes: Axes | None = None, before: Drawn | None = None
     """What `draw_shape` draws; of a bent body `before` it the outline is dashed, in space the axis."""
     given = axes
     with draw.axes_or_new(axes, space.HEIGHT if what.in_space else HEIGHT, in_space=what.in_space) as axes:
-        space.draw_scene(axes, what) if what.in_space else _draw_section(axes, what)
+        line = np.zeros((0, 3)) if before is None else before.body.midline if what.in_space else before.body.outline
+        space.draw_scene(axes, what, line) if what.in_space else _draw_section(axes, what)
         if before is not None:
-            line = before.body.midline if what.in_space else before.body.outline
             axes.plot(*line.T, color=looks.GREY, linewidth=0.8, linestyle=(0, (4, 2)), zorder=8, label="before")
         draw.legend_of_loads(axes, what)
         draw.scale_beside(axes, draw.tension_scale(what.tension), "$T$ (N)")

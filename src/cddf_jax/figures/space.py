@@ -56,9 +56,9 @@ def set_scene(axes: Axes, points: np.ndarray) -> Axes3D:
     return scene
 
 
-def draw_scene(axes: Axes, what: Drawn) -> None:
-    """Body, tendons and loads in axes of three dimensions; the rest shape is dotted."""
-    scene = set_scene(axes, what.points)
+def draw_scene(axes: Axes, what: Drawn, also: np.ndarray) -> None:
+    """Body, tendons and loads in axes of three dimensions; the rest shape is dotted. Points `also` must be seen."""
+    scene = set_scene(axes, np.concatenate([what.points, also]))
     look = {"facecolor": looks.PALE, "edgecolor": looks.PALE, "linewidth": 0.3, "zorder": 1}
     scene.add_collection3d(Poly3DCollection(shadows(scene, what.body), **look))
     for line in (what.straight.midline, what.straight.rings[-1]):
