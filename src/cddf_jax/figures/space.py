@@ -6,6 +6,7 @@ from typing import cast
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
+from matplotlib.colors import LightSource
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
@@ -21,7 +22,7 @@ VIEWS = {"XY": (0, 1, 2), "XZ": (0, 2, 1), "YZ": (1, 2, 0)}
 TOWARDS = {"XY": (0.0, 0.0, 1.0), "XZ": (0.0, -1.0, 0.0), "YZ": (1.0, 0.0, 0.0)}
 HEIGHT = 2.8  # inches, of a scene as wide as a column
 LEAST = 0.6  # of the longest edge of a scene: its other edges, so that numbers and names have room at all of them
-LIGHT = np.array([0.25, -0.45, 0.86])  # from where light falls on a body
+LIGHT = LightSource(azdeg=151, altdeg=59)  # falls on a body
 
 
 # --- in three dimensions -------------------------------------------------------------------------
@@ -98,18 +99,14 @@ def shadows(axes: Axes3D, body: Body) -> list[np.ndarray]:
 
 
 def _draw_tube(axes: Axes3D, body: Body) -> None:
+    """The outer surface in the light, with its rings at base and tip."""
     rings = body.rings
-    faces = np.stack([rings[:-1, :-1], rings[1:, :-1], rings[1:, 1:], rings[:-1, 1:]], axis=2)
-    outward = np.mean(faces, axis=2) - 0.5 * (body.midline[:-1] + body.midline[1:])[:, None]
-    lit = np.clip((outward / np.linalg.norm(outward, axis=-1, keepdims=True)) @ LIGHT, -0.2, 1.0)
-    colours = (0.74 + 0.20 * lit)[..., None].repeat(3, axis=-1).reshape(-1, 3)
-    tube = Poly3DCollection(list(faces.reshape(-1, 4, 3)), facecolors=colours, edgecolors=colours, linewidth=0.3)
-    tube.set(zorder=4, rasterized=True)  # drawn as lines of a PDF its facets would be visible
-    axes.add_collection3d(tube)
+    look = {"color": "#F2F2F2", "lightsource": LIGHT, "rstride": 1, "cstride": 1, "linewidth": 0, "antialiased": False}
+    # drawn as lines of a PDF its facets would be visible
+    axes.plot_surface(*np.moveaxis(rings, -1, 0), **look, zorder=4, rasterized=True)
     for ring in (rings[0], rings[-1]):
         axes.plot(*ring.T, color=looks.GREY, linewidth=0.6, zorder=4.5)
-    cap = Poly3DCollection([rings[-1]], facecolor="white", edgecolor=looks.GREY, linewidth=0.6, zorder=4.5)
-    axes.add_collection3d(cap)
+    axes.add_collection3d(Poly3DCollection([rings[-1]], facecolor="white", zorder=4.5))
 
 
 # --- in a plane ----------------------------------------------------------------------------------

@@ -82,11 +82,12 @@ def tension_scale(tension: np.ndarray) -> Normalize:
     return Normalize(low if high - low > 1e-3 * high else 0.0, high or 1.0)
 
 
-def scale_beside(axes: Axes, norm: Normalize, label: str) -> None:
-    """The colours of values beside axes."""
+def scale_beside(axes: Axes, what: Normalize | ScalarMappable, label: str) -> None:
+    """The colours of values beside axes; of numbers without a drawing of their own those of tensions."""
+    what = ScalarMappable(what, TENSION_COLOURS) if isinstance(what, Normalize) else what
     look: Look = {"shrink": 0.7, "pad": 0.14} if isinstance(axes, Axes3D) else {"pad": 0.02}
     figure = cast(FigureBase, axes.get_figure(root=False))
-    figure.colorbar(ScalarMappable(norm, TENSION_COLOURS), ax=axes, label=label, aspect=35, **look)
+    figure.colorbar(what, ax=axes, label=label, aspect=35, **look)
 
 
 @contextmanager

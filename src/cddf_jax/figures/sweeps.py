@@ -10,11 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import BoundaryNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import MaxNLocator
 
 from ..errors import InputError
 from ..quantities import QUANTITIES
@@ -195,31 +193,21 @@ def _draw_map(axes: Axes, array: "xarray.DataArray", x: str, y: str) -> None:
     """Contours with a scale of colours beside them; hatched where nothing is drawn."""
     points, lost = (array[x].values, array[y].values), results_in_words(array[RESULT].values)
     values = np.ma.masked_invalid(array.where(array[RESULT] == Status.successful).transpose(y, x).values)
-    levels = _levels(values.compressed())
-    norm = BoundaryNorm(levels, 256)
     axes.set(xlim=points[0][[0, -1]], ylim=points[1][[0, -1]], axisbelow=False)
     axes.set(xlabel=axis_label(array[x]), ylabel=axis_label(array[y]))
     if values.count():
-        axes.contourf(*points, values, levels=levels, cmap=draw.TENSION_COLOURS, norm=norm)
-        if within := [level for level in levels if values.min() < level < values.max()]:
+        filled = axes.contourf(*points, values, 8, cmap=draw.TENSION_COLOURS)
+        if within := [level for level in filled.levels if values.min() < level < values.max()]:
             look = {"colors": looks.BLACK, "linewidths": 0.5, "linestyles": "solid"}
             lines = axes.contour(*points, values, within, **look)
             for text in axes.clabel(lines, fmt="%g", fontsize=7, colors=looks.BLACK, inline=False):
                 text.set_path_effects([withStroke(linewidth=2.0, foreground="white")])
                 place = axes.transAxes.inverted().transform(axes.transData.transform(text.get_position()))
                 text.set_visible(bool(np.all(np.abs(place - 0.5) < 0.44)))  # not over the frame
+        draw.scale_beside(axes, filled, axis_label(array))
     if lost:
         look = {"facecolor": looks.PALE, "edgecolor": looks.GREY, "hatch": "/////", "linewidth": 0.0, "zorder": 0}
         axes.add_patch(Rectangle((0, 0), 1, 1, transform=axes.transAxes, label=f"hatched: {lost}", **look))
-    draw.scale_beside(axes, norm, axis_label(array))
-
-
-def _levels(there: np.ndarray) -> np.ndarray:
-    """Round numbers, between which all values lie."""
-    low, high = (there.min(), there.max()) if there.size else (0.0, 1.0)
-    if np.isclose(low, high, rtol=1e-9, atol=0.0):
-        low, high = low - (0.01 * abs(low) or 1.0), high + (0.01 * abs(high) or 1.0)
-    return np.asarray(MaxNLocator(8).tick_values(low, high))
 
 
 # --- labels ----------------------------------------------------------------------------------------
