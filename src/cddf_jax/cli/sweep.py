@@ -174,7 +174,7 @@ def sweep(
         chunk_size=chunk,
     )
     if dry_run:
-        expected = sweep_report.rehearse(work, None if out is None else sweep_report.read_places(out, netcdf, csv))
+        expected = sweep_report.rehearse(work)
         if sweep_report.is_first_process():
             options.print_answer(sweep_report.rehearsal_in_words(expected), expected, as_json=as_json)
         return

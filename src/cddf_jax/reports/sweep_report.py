@@ -175,18 +175,15 @@ def _results_and_ranges(work: Sweep, answer: "xarray.Dataset") -> Json:
     return {"results": {status.name: int(n) for status, n in zip(Status, counts, strict=True) if n}, "outputs": outputs}
 
 
-def rehearse(work: Sweep, places: Places | None) -> Json:
+def rehearse(work: Sweep) -> Json:
     """The number of solves, memory and disk of a sweep, without solving or writing anything."""
-    layout, store = work.layout, None
-    if places is not None:
-        store = {"path": in_utf8(places.store), "solves_there": _there_already(work, places.store)}
+    layout = work.layout
     return {
         "solves": layout.size,
         "axes": _axes(work),
         "outputs": [name for name in layout.variables if name not in VERDICTS],
         "bytes": layout.size * layout.bytes_each,
         "memory": {"needed": COPIES * layout.bytes_each * layout.chunk_size, "allowed": work.allowed},
-        "store": store,
     }
 
 
@@ -209,15 +206,13 @@ def summary_in_words(summary: Json) -> str:
 
 def rehearsal_in_words(expected: Json) -> str:
     """The answer of `rehearse` for the terminal."""
-    memory, store = expected["memory"], expected["store"]
+    memory = expected["memory"]
     lines = [
         f"{expected['solves']:,} solves",
         *(f"{axis['dimension']}: {_axis_in_words(axis)}" for axis in expected["axes"]),
         f"answer: {', '.join(expected['outputs'])}; {filesize.decimal(expected['bytes'])} on disk at most",
         f"memory: {filesize.decimal(memory['needed'])} needed, {filesize.decimal(int(memory['allowed']))} allowed",
     ]
-    if store is not None:
-        lines.append(f"{store['path']}: {store['solves_there']:,} solves are there already")
     return "\n".join(lines)
 
 
