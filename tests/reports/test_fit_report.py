@@ -10,7 +10,7 @@ import pytest
 from bodies import paper_body
 from matplotlib.image import imread
 from places import DATA
-from read_back import x_of, xy_of, y_of
+from read_back import x_of, xy_of
 from repeat import repeated
 from scipy import stats
 
@@ -18,7 +18,7 @@ import cddf_jax as cddf
 from cddf_jax.estimation.observations import Noise
 from cddf_jax.figures import fit as fit_figures
 from cddf_jax.files import writing
-from cddf_jax.identification.bench import Bench, experiment_of
+from cddf_jax.identification.bench import Bench
 from cddf_jax.measurements.table import Measurements
 from cddf_jax.reports import fit_report as report
 
@@ -219,27 +219,6 @@ def test_the_figure_of_a_single_level(paper):
     fit = cddf.fit(paper, table)
     (figure,) = fit_figures.table_figures(fit).values()
     figure.draw_without_rendering()
-
-
-@pytest.mark.slow
-def test_rows_that_lie_apart_are_drawn_over_their_prediction(paper, load_cells):
-    """A tendon that slides out in two rows: the curve of the tendon that is pulled in would not go through them."""
-    columns = {name: load_cells[name][:17] for name in ("base_tension", "tip_tension")}
-    ones, fit = np.ones(17), cddf.fit(paper, Measurements.from_columns("bench", **columns))
-    labels = [axes.get_xlabel() for axes in fit_figures.table_figures(fit)["fit_bench"].axes]
-    assert labels == ["", "Base tension (N)"]
-    table = Measurements.from_columns("bench", **columns, direction=np.where(np.arange(17) < 15, ones, -ones))
-    model = dataclasses.replace(fit.model, experiments=(experiment_of(table, paper),))
-    (figure,) = fit_figures.table_figures(dataclasses.replace(fit, tables=(table,), model=model)).values()
-    above, below = figure.axes
-    assert above.get_ylabel() == "Measured tip tension (N)"
-    assert below.get_xlabel() == "Predicted tip tension (N)"
-    residual = fit.residuals["bench: tip_tension"]
-    measured = next(line for line in above.lines if line.get_marker() == "o")
-    np.testing.assert_array_equal(y_of(measured), table["tip_tension"])
-    np.testing.assert_array_equal(x_of(measured), table["tip_tension"] - residual)
-    dots = next(line for line in below.lines if line.get_marker() == ".")
-    np.testing.assert_array_equal(y_of(dots), residual)
 
 
 @pytest.mark.slow

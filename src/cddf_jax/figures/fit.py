@@ -3,7 +3,7 @@
 import re
 from collections.abc import Mapping, Sequence
 from textwrap import fill
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 from jaxtyping import ArrayLike
@@ -123,16 +123,12 @@ def _table_figure(fit: Fit, name: str) -> Figure:
     across, down = min(len(columns), MOST_ACROSS), -(-len(columns) // MOST_ACROSS)
     with draw.house_style():
         figure = draw.new_figure(draw.SINGLE_COLUMN if across == 1 else draw.DOUBLE_COLUMN, 3.2 * down)
-        axes = figure.subplots(2 * down, across, squeeze=False, height_ratios=(3, 1) * down)
-        for i, column in enumerate(columns):
-            above, below = axes[2 * (i // across) :, i % across][:2]
-            below.sharex(above)
+        parts = cast(np.ndarray, figure.subfigures(down, across, squeeze=False)).ravel()
+        for part, column in zip(parts, columns, strict=False):
+            above, below = part.subplots(2, sharex=True, height_ratios=(3, 1))
             draw_fit(fit, name, column, above).set_xlabel("")
-            above.tick_params(labelbottom=False)
             draw_residuals(fit, name, column, below)
-        for unused in axes[-2:, len(columns) - across * (down - 1) :].ravel():
-            unused.set_axis_off()
-        figure.align_ylabels()
+            part.align_ylabels()
         if across > 1:
             draw.common_legend(figure, figure.axes)
     return figure
