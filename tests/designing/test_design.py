@@ -342,10 +342,8 @@ def test_derivatives_against_finite_differences(stiff):
             return (8 * inner - outer) / (12 * h)
 
         assert point.gradient @ along == pytest.approx(difference(lambda at: at.objective), rel=1e-7, abs=1e-8)
-        slopes = difference(lambda at: at.inequality)
-        assert point.inequality_slopes @ along == pytest.approx(slopes, rel=1e-6, abs=1e-6)
-        slopes = difference(lambda at: at.equality)
-        assert point.equality_slopes @ along == pytest.approx(slopes, rel=1e-6, abs=1e-6)
+        slopes = difference(lambda at: at.margins)
+        assert point.slopes @ along == pytest.approx(slopes, rel=1e-6, abs=1e-6)
 
 
 # --- between the stations ------------------------------------------------------------------------

@@ -65,7 +65,7 @@ def bored(bore, most_sag, most_volume=1.0):
         bounds={"inner_radius": (0.0, 1.6e-3)},
         constraints=[
             cddf.Limit("wall_thickness", least=WALL),
-            cddf.Limit(sag, most=most_sag, scale=SOLID),
+            cddf.Limit(sag, most=most_sag),
             cddf.Limit("volume", most=most_volume * plain_volume(*START)),
         ],
         cases=cddf.LoadCase(cddf.TipAngle(ANGLE)),

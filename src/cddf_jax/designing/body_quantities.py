@@ -117,12 +117,6 @@ class OfQuantity(eqx.Module):
         return own if isinstance(own, str) else getattr(own, "__name__", type(own).__name__)
 
 
-def check_fits(name: str, wanted: ArrayLike, value: Array) -> None:
-    """Refuse a wanted value whose shape does not fit the quantity."""
-    if jnp.shape(wanted) not in ((), jnp.shape(value)):
-        raise InputError(f"design: {name} has shape {jnp.shape(value)}, but the wanted value has {jnp.shape(wanted)}")
-
-
 # --- of the body alone ---------------------------------------------------------------------------
 
 

@@ -29,37 +29,29 @@ class Point(NamedTuple):
     x: Vector
     objective: float
     gradient: Vector
-    inequality: Vector  # may not be negative
-    inequality_slopes: Matrix
-    equality: Vector  # must be zero
-    equality_slopes: Matrix
+    margins: Vector  # of the limits: may not be negative, and of an equation must be zero
+    slopes: Matrix  # of the margins
+    equal: np.ndarray  # which limits are equations
     usable: bool = True  # false where the function has no answer
 
     @property
     def violation(self) -> float:
         """The largest violation of a limit, scaled."""
-        return float(max(np.max(-self.inequality, initial=0.0), np.max(np.abs(self.equality), initial=0.0)))
+        return float(np.max(np.where(self.equal, np.abs(self.margins), -self.margins), initial=0.0))
 
 
 class Optimality(NamedTuple):
     """The first-order conditions of Karush, Kuhn and Tucker at a point, with the multipliers that satisfy them best."""
 
     residual: float  # largest entry of the Lagrangian's gradient, over that of the objective's or 1
-    inequality: Vector  # multipliers, zero where there is a margin
+    limits: Vector  # multipliers, zero where there is a margin
     lower: Vector  # of the bounds
     upper: Vector
-    equality: Vector
-    active: np.ndarray  # indices of the active limits among inequalities, lower bounds, upper bounds, equalities
-    slopes: Matrix  # of the active limits
+    active: np.ndarray  # indices of the active ones among limits, lower bounds, upper bounds
+    slopes: Matrix  # of the active ones
+    least: Vector  # of the active multipliers: 0, or of an equation minus infinity
 
-    def price(
-        self,
-        inequality: ArrayLike = 0.0,
-        equality: ArrayLike = 0.0,
-        *,
-        lower: ArrayLike = 0.0,
-        upper: ArrayLike = 0.0,
-    ) -> float:
+    def price(self, limits: ArrayLike = 0.0, *, lower: ArrayLike = 0.0, upper: ArrayLike = 0.0) -> float:
         """A weighted sum of multipliers: how much the objective becomes smaller if limits are relaxed by the weights.
 
         NaN if several sets of multipliers satisfy the conditions and give different sums: the best objective has a
@@ -67,14 +59,13 @@ class Optimality(NamedTuple):
         """
         if not self.active.size:
             return 0.0
-        multipliers = self.inequality, self.lower, self.upper, self.equality
-        given = zip((inequality, lower, upper, equality), multipliers, strict=True)
+        multipliers = self.limits, self.lower, self.upper
+        given = zip((limits, lower, upper), multipliers, strict=True)
         cost = np.concatenate([np.broadcast_to(np.asarray(weights), own.shape) for weights, own in given])[self.active]
-        signed = self.active < sum(map(len, multipliers)) - self.equality.size  # an equality's may be negative
         options = {
             "A_eq": self.slopes.T,
             "b_eq": self.slopes.T @ np.concatenate(multipliers)[self.active],
-            "bounds": [(0.0 if positive else None, None) for positive in signed],
+            "bounds": [(least, None) for least in self.least],
         }
         least, most = linprog(cost, **options), linprog(-cost, **options)
         if least.status != 0 or most.status != 0:
@@ -118,6 +109,7 @@ def minimise_constrained(
         max_iterations: at most.
     """
     seen = _Seen(function, np.clip(start, lower, upper))
+    equal = seen.last.equal
     with np.errstate(all="ignore"), suppress(_StalledError):
         found = minimize(
             lambda x: seen(x).objective,
@@ -125,8 +117,8 @@ def minimise_constrained(
             jac=lambda x: seen(x).gradient,
             bounds=list(zip(lower, upper, strict=True)),
             constraints=[
-                {"type": "ineq", "fun": lambda x: seen(x).inequality, "jac": lambda x: seen(x).inequality_slopes},
-                {"type": "eq", "fun": lambda x: seen(x).equality, "jac": lambda x: seen(x).equality_slopes},
+                {"type": "ineq", "fun": lambda x: seen(x).margins[~equal], "jac": lambda x: seen(x).slopes[~equal]},
+                {"type": "eq", "fun": lambda x: seen(x).margins[equal], "jac": lambda x: seen(x).slopes[equal]},
             ],
             method="SLSQP",
             callback=seen.after_iteration,
@@ -180,35 +172,35 @@ def _rank(point: Point) -> tuple[float, float]:
 
 def optimality(point: Point, lower: Vector, upper: Vector) -> Optimality:
     """The multipliers that make the gradient of the Lagrangian smallest, and the size of that gradient."""
-    unit = np.eye(point.x.size)
-    margins = [point.inequality, point.x - lower, upper - point.x, np.zeros(point.equality.size)]
-    slopes = np.concatenate([point.inequality_slopes, unit, -unit, point.equality_slopes])
-    active = np.flatnonzero(np.concatenate(margins) <= ACTIVE)
-    least = np.where(active < len(slopes) - point.equality.size, 0.0, -np.inf)
-    multipliers = np.zeros(len(slopes))
+    unit, count = np.eye(point.x.size), point.margins.size
+    slopes = np.concatenate([point.slopes, unit, -unit])
+    margins = np.concatenate([point.margins, point.x - lower, upper - point.x])
+    equal = np.pad(point.equal, (0, 2 * point.x.size))
+    active = np.flatnonzero(equal | (margins <= ACTIVE))
+    least = np.where(equal[active], -np.inf, 0.0)
+    multipliers = np.zeros(margins.size)
     if active.size:
         fit = lsq_linear(slopes[active].T, point.gradient, (least, np.inf), method="bvls", tol=1e-14)
         multipliers[active] = fit.x
     left = float(np.max(np.abs(point.gradient - multipliers @ slopes)))
     residual = left / max(1.0, float(np.max(np.abs(point.gradient))))
-    inequality, *bounds, equality = np.split(multipliers, np.cumsum([part.size for part in margins[:-1]]))
-    return Optimality(residual, inequality, bounds[0], bounds[1], equality, active, slopes[active])
+    limits, *bounds = np.split(multipliers, [count, count + point.x.size])
+    return Optimality(residual, limits, bounds[0], bounds[1], active, slopes[active], least)
 
 
 def least_violation(function: VectorFunction, start: Vector, lower: Vector, upper: Vector) -> LocalMinimum:
     """The point that violates the limits least; its objective is the largest violation there.
 
     One more unknown, the last, is how much each limit may be violated, and this unknown is made small. The multipliers
-    show which limits contradict each other: first those of the inequalities, then of the equalities from above, then
-    from below.
+    show which limits contradict each other: first those of all limits, then of the equations from below.
     """
 
     def relaxed(x: Vector) -> Point:
         inner, by = function(x[:-1]), float(x[-1])
-        margins = np.concatenate([inner.inequality, inner.equality, -inner.equality]) + by
-        slopes = np.concatenate([inner.inequality_slopes, inner.equality_slopes, -inner.equality_slopes])
+        margins = np.append(inner.margins, -inner.margins[inner.equal]) + by
+        slopes = np.concatenate([inner.slopes, -inner.slopes[inner.equal]])
         slopes = np.column_stack([slopes, np.ones(margins.size)])
-        return Point(x, by, np.eye(x.size)[-1], margins, slopes, np.zeros(0), np.zeros((0, x.size)), inner.usable)
+        return Point(x, by, np.eye(x.size)[-1], margins, slopes, np.zeros(margins.size, bool), inner.usable)
 
     first = np.append(start, function(start).violation)
     return minimise_constrained(relaxed, first, np.append(lower, 0.0), np.append(upper, np.inf))

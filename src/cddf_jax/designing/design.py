@@ -1,8 +1,9 @@
 """`design`: the body that meets an objective best within its limits."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import product
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -20,13 +21,14 @@ from ..units import quantity
 from .free_numbers import Bounds, FreeNumbers, free_numbers_of
 from .load_cases import LoadCase, case_numbers
 from .objectives import Least, Limit, Objective
-from .problem import USABLE, DesignEvaluation, DesignProblem, Term
+from .problem import USABLE, DesignEvaluation, DesignProblem, Kept, Term
 from .results import Design, design_of, displayed
-from .search import WANDERING, DesignSearch
+from .search import WANDERING, search, starts_of
 
 STATIONS = 33  # evenly spaced places at which limits along the body are evaluated
 CROSSING = 0.99  # largest kappa d; at 1 fibres cross
 THINNEST = 1e-3  # of the outer radius at the start: the least wall thickness
+Part = TypeVar("Part", Term, Kept)
 Aim = Objective | Callable[[Manipulator, Equilibrium], ArrayLike]
 
 
@@ -109,8 +111,8 @@ def design(
         problem = problem_of(body, objectives, free, bounds or {}, constraints, cases, options)
         if found:  # one scale for all, so that they can be compared
             problem = replace(problem, terms=found[0][1].terms)
-        search = DesignSearch(problem, options.max_iterations)
-        found.append((chosen, problem, search.from_starts(options.starts, options.seed)))
+        starts = starts_of(problem, options.starts, options.seed)
+        found.append((chosen, problem, search(problem, starts, options.max_iterations)))
     chosen, problem, best = min(found, key=lambda each: each[2].rank)
     tried = tuple((each, displayed(problem, result.value)) for each, _, result in found) if choices else ()
     return design_of(best, manipulator, tried, chosen)
@@ -178,33 +180,38 @@ def problem_of(
         manipulator = manipulator.with_angles()
     numbers = free_numbers_of(used[0].of(manipulator), free, bounds)
     _check(manipulator, [*constraints, *(aim for _, aim in objectives)], numbers, used)
-    implied = _implied(manipulator, constraints, offsets_outside_wall=options.offsets_outside_wall)
-    limits, one = [*constraints, *implied], jnp.ones(())
+    implied, one = _implied(manipulator, constraints, offsets_outside_wall=options.offsets_outside_wall), jnp.ones(())
+    limits = [(limit, False) for limit in constraints] + [(limit, True) for limit in implied]
     problem = DesignProblem(
         manipulator,
         numbers,
         used,
         terms=tuple(Term(aim, jnp.asarray(weight, float), one) for weight, aim in objectives),
-        limits=tuple(jax.tree.map(jnp.asarray, replace(limit, scale=one)) for limit in limits),
+        limits=tuple(Kept(jax.tree.map(jnp.asarray, limit), one, own) for limit, own in limits),
         stations=jnp.asarray(_stations(manipulator)),
-        implied=(*[False] * len(constraints), *[True] * len(implied)),
         worst=options.worst,
         nodes=options.nodes,
     )
-    return _sized(problem, limits)
+    return _sized(problem)
 
 
-def _sized(problem: DesignProblem, limits: Sequence[Limit]) -> DesignProblem:
-    """The problem with objectives and limits relative to their sizes at the start, which must have an equilibrium."""
-    start = np.append(problem.free.scaled_start, np.zeros(len(problem.peaks)))
-    found = problem.evaluation(start)
-    _demand_start(problem, found, limits)
-    sizes = [jnp.asarray(float(np.max(np.abs(aim))) or 1.0, float) for aim in found.aims]
-    terms = [replace(term, reference=size) for term, size in zip(problem.terms, sizes, strict=True)]
-    margins = [float(np.max(np.abs(margin), initial=0.0)) for margin in found.margins]
-    scales = [jnp.asarray(limit.size(margin), float) for limit, margin in zip(limits, margins, strict=True)]
-    scaled = [replace(limit, scale=scale) for limit, scale in zip(problem.limits, scales, strict=True)]
-    return replace(problem, terms=tuple(terms), limits=tuple(scaled))
+def _sized(problem: DesignProblem) -> DesignProblem:
+    """The problem with objectives and limits relative to their sizes, at a start which must have an equilibrium.
+
+    The size of a limit is that of its largest bound, or for a limit of zero that of the quantity at the start.
+    """
+    found = problem.evaluation(problem.free.scaled_start)
+    _demand_start(problem, found)
+
+    def sized(part: Part, values: ArrayLike, bounds: Iterable[ArrayLike] = ()) -> Part:
+        stated = max((float(np.abs(bound)) for bound in bounds), default=0.0)
+        size = stated or float(np.max(np.abs(values))) or 1.0
+        return replace(part, size=jnp.asarray(size, float))
+
+    terms = [sized(term, aim) for term, aim in zip(problem.terms, found.aims, strict=True)]
+    margins = zip(problem.limits, found.margins, strict=True)
+    limits = [sized(kept, margin, kept.limit.sides.values()) for kept, margin in margins]
+    return replace(problem, terms=tuple(terms), limits=tuple(limits))
 
 
 def _implied(body: Manipulator, limits: Sequence[Limit], *, offsets_outside_wall: bool) -> list[Limit]:
@@ -257,12 +264,13 @@ def _check(
         check_loads(case.body(body), case.loads)
 
 
-def _demand_start(problem: DesignProblem, found: DesignEvaluation, limits: Sequence[Limit]) -> None:
-    for case, code in zip(problem.cases, np.asarray(found.codes), strict=False):
+def _demand_start(problem: DesignProblem, found: DesignEvaluation) -> None:
+    for case, code in zip(problem.cases, np.asarray(found.codes), strict=True):
         if code not in USABLE:
             said = words_of(code)
             raise InputError(f"design: the start has no equilibrium in {case.name or 'its load case'}: {said}")
-    names = [*(str(term.objective) for term in problem.terms), *map(str, limits), *map(str, limits)]
-    for name, values in zip(names, (*found.aims, *found.margins, *found.zeros), strict=True):
+    parts = [*(term.objective for term in problem.terms), *(kept.limit for kept in problem.limits)]
+    for part, values in zip(parts, (*found.aims, *found.margins), strict=True):
         if not np.all(np.isfinite(values)):
+            name = str(part)
             raise InputError(f"design: {name!r} has no finite value for the start; look at its places and its formula")

@@ -17,7 +17,7 @@ from .load_cases import LoadCase
 from .objectives import Limit
 from .problem import DesignProblem
 from .results import Design, design_of, indifference_in_words
-from .search import DesignSearch, SearchResult, indifferent
+from .search import SearchResult, indifferent, search
 
 SECOND = 1e-4  # weight of the other objective, so that it is not larger than it needs to be
 SAME = 1e-3  # relative: ends that differ by less in both objectives are one body
@@ -104,14 +104,13 @@ def pareto_front(
 def _searched(problem: DesignProblem, num: int, max_iterations: int) -> list[SearchResult]:
     """Search results from one end of the front to the other; a gap beside an infeasible result is not divided."""
 
-    def search(small: int, level: float, starts: Sequence[np.ndarray]) -> SearchResult:
-        """Make one objective small under a level of the other; the best from some starts."""
-        searches = DesignSearch(_at(problem, small, level), max_iterations)
-        return min((searches.from_start(z) for z in starts), key=lambda each: each.rank)
+    def best(small: int, level: float, *starts: np.ndarray) -> SearchResult:
+        """Make one objective small under a level of the other."""
+        return search(_at(problem, small, level), starts, max_iterations)
 
     start = problem.free.scaled_start
-    first = search(0, np.inf, [start])
-    found = [first, search(1, np.inf, [first.z, start])]
+    first = best(0, np.inf, start)
+    found = [first, best(1, np.inf, first.z, start)]
     while len(found) < num:
         raw = np.array([[problem.over_the_cases(k, each.evaluation.aims[k]) for k in (0, 1)] for each in found])
         size = np.maximum(np.abs(raw[0] - raw[-1]), 1e-12 * np.abs(raw[0]) + 1e-300)
@@ -122,7 +121,7 @@ def _searched(problem: DesignProblem, num: int, max_iterations: int) -> list[Sea
         i = max(gaps, key=lambda i: float(np.linalg.norm(widths[i])))
         wide = int(np.argmax(widths[i]))
         level = float(np.mean(raw[i : i + 2, wide]))
-        found.insert(i + 1, search(1 - wide, level, [found[i].z, found[i + 1].z]))
+        found.insert(i + 1, best(1 - wide, level, found[i].z, found[i + 1].z))
     return found
 
 

@@ -20,6 +20,7 @@ from .objectives import Limit, Objective
 
 Answer = TypeVar("Answer", bound=PyTree)
 Part = Float[Array | np.ndarray, " _"]  # of a vector
+Values = tuple[Array, Array]  # objective and scaled margins, or their slopes
 USABLE = (  # with which a search can go on
     *(Status.successful, Status.direction_contradicted, Status.crossing),
     *(Status.inaccurate, Status.unstable),
@@ -31,25 +32,24 @@ class Term(eqx.Module):
 
     objective: Objective
     weight: Scalar
-    reference: Scalar  # its size at the start, relative to which it counts
+    size: Scalar  # at the start, relative to which it counts
     most: Scalar | None = None  # a level that it must not exceed, SI; infinite for none
 
 
+class Kept(eqx.Module):
+    """A limit that the body must keep."""
+
+    limit: Limit
+    size: Scalar  # relative to which violations count
+    implied: bool = eqx.field(static=True)  # whether every body must keep it, and not the user asks for it
+
+
 class DesignEvaluation(NamedTuple):
-    """All values at one point, by term and by limit; the leading axis is the load cases, or 1."""
+    """All values at one point, by term and by limit, SI; the leading axis is the load cases, or 1."""
 
-    aims: tuple[Array, ...]  # (cases, ...) SI, of the terms
-    margins: tuple[Array, ...]  # (cases, sides, ...), scaled; negative where a limit is broken
-    zeros: tuple[Array, ...]  # (cases, ...), scaled
+    aims: tuple[Array, ...]  # (cases, ...) of the terms
+    margins: tuple[Array, ...]  # (cases, sides, ...) of the limits
     codes: Int[Array, " cases"]  # statuses of the solves
-
-
-class ProgramValues(NamedTuple):
-    """The values of the nonlinear program."""
-
-    objective: Float[Array, ""]
-    inequality: Vector  # must not be negative
-    equality: Vector
 
 
 class DesignProblem(eqx.Module):
@@ -63,9 +63,8 @@ class DesignProblem(eqx.Module):
     free: FreeNumbers
     cases: tuple[LoadCase, ...]
     terms: tuple[Term, ...]
-    limits: tuple[Limit, ...]
+    limits: tuple[Kept, ...]
     stations: Vector  # arc lengths over the length, at which limits are evaluated
-    implied: tuple[bool, ...] = eqx.field(static=True)  # of each limit, whether it is one that every body must keep
     worst: bool = eqx.field(static=True)  # whether the worst case counts, and not the weighted mean
     nodes: int = eqx.field(static=True)
 
@@ -80,10 +79,21 @@ class DesignProblem(eqx.Module):
         weights = jnp.stack([jnp.asarray(case.weight) for case in self.cases])
         return weights / jnp.sum(weights)
 
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of the unknowns."""
+        ranges, heights = self.free.ranges, np.full(len(self.peaks), np.inf)
+        return np.append(0 * ranges, -heights), np.append(ranges, heights)
+
     def split(self, unknowns: Vector) -> tuple[Part, Part]:
         """The scaled free numbers, and the heights of the peaks."""
         count = len(self.free.names)
         return unknowns[:count], unknowns[count:]
+
+    def unknowns(self, z: np.ndarray) -> np.ndarray:
+        """Scaled free numbers, followed by the heights of the peaks there."""
+        aims = self.evaluation(z).aims
+        return np.append(z, [np.max(aims[i]) / float(self.terms[i].size) for i in self.peaks])
 
     def body(self, z: Vector) -> Manipulator:
         """The body with these scaled free numbers."""
@@ -100,35 +110,37 @@ class DesignProblem(eqx.Module):
 
     def __call__(self, x: np.ndarray) -> Point:
         """The nonlinear program at some unknowns; problems with the same structure share one compiled program."""
-        values, slopes, found = jax.tree.map(np.asarray, _values_and_slopes(self, jnp.asarray(x)))
-        finite = all(np.all(np.isfinite(part)) for part in (*values, *slopes))
-        usable = finite and bool(np.all(np.isin(found.codes, USABLE)))
-        inequality, equality = (values.inequality, slopes.inequality), (values.equality, slopes.equality)
-        return Point(np.array(x), float(values.objective), slopes.objective, *inequality, *equality, usable)
+        found = jax.tree.map(np.asarray, _values_and_slopes(self, jnp.asarray(x)))
+        (objective, margins), (gradient, slopes), there = found
+        known = zip(there.margins, self.limits, strict=True)
+        equations = np.concatenate([np.full(own.size, kept.limit.equal is not None) for own, kept in known])
+        equal = np.pad(equations, (0, margins.size - equations.size))  # peaks and levels are none
+        usable = all(np.all(np.isfinite(part)) for part in (objective, margins, gradient, slopes))
+        usable = usable and bool(np.all(np.isin(there.codes, USABLE)))
+        return Point(np.array(x), float(objective), gradient, margins, slopes, equal, usable)
 
-    def evaluation(self, x: np.ndarray) -> DesignEvaluation:
-        """The objectives, margins and equations of the nonlinear program, before they are put together."""
+    def evaluation(self, z: np.ndarray) -> DesignEvaluation:
+        """Objectives and margins, before they are put together; heights after the free numbers do not count."""
+        x = np.append(self.split(z)[0], np.zeros(len(self.peaks)))
         return jax.tree.map(np.asarray, _values_and_slopes(self, jnp.asarray(x))[2])
 
     def _evaluate(self, z: Vector) -> DesignEvaluation:
-        """Objectives, margins and zeros at scaled free numbers; of the body alone once, else of every case."""
+        """Objectives and margins at scaled free numbers; of the body alone once, else of every case."""
         body = self.body(z)
         straight = BodyView(body, self._places(body))
+        aims, limits = [term.objective for term in self.terms], [kept.limit for kept in self.limits]
 
         def of_case(case: LoadCase) -> DesignEvaluation:
             bent = self.view(z, case)
-            aims = tuple(t.objective.values(bent if t.objective.known.bent else straight) for t in self.terms)
-            views = [bent if limit.known.bent else straight for limit in self.limits]
-            margins = tuple(limit.inequalities(view) for limit, view in zip(self.limits, views, strict=True))
-            zeros = tuple(limit.equalities(view) for limit, view in zip(self.limits, views, strict=True))
-            return DesignEvaluation(aims, margins, zeros, bent.equilibrium.status)
+            values = tuple(aim.values(bent if aim.known.bent else straight) for aim in aims)
+            margins = tuple(limit.margins(bent if limit.known.bent else straight) for limit in limits)
+            return DesignEvaluation(values, margins, bent.equilibrium.status)
 
         def once(parts: Sequence[Objective | Limit], values: Sequence[Array]) -> tuple[Array, ...]:
             return tuple(x if part.known.bent else x[:1] for part, x in zip(parts, values, strict=True))
 
-        aims, margins, zeros, codes = self._of_every_case(of_case)
-        aims = once([term.objective for term in self.terms], aims)
-        return DesignEvaluation(aims, once(self.limits, margins), once(self.limits, zeros), codes)
+        found = self._of_every_case(of_case)
+        return DesignEvaluation(once(aims, found.aims), once(limits, found.margins), found.codes)
 
     def _of_every_case(self, function: Callable[[LoadCase], Answer]) -> Answer:
         """The function of every case, with a leading axis on its values; similar cases are computed together."""
@@ -141,24 +153,34 @@ class DesignProblem(eqx.Module):
             answers |= {i: jax.tree.map(lambda x, k=k: x[k], many) for k, i in enumerate(group)}
         return jax.tree.map(lambda *values: jnp.stack(values), *(answers[i] for i in range(len(self.cases))))
 
-    def values(self, unknowns: Vector) -> tuple[ProgramValues, DesignEvaluation]:
-        """The values of the nonlinear program, and its evaluation."""
+    def values(self, unknowns: Vector) -> tuple[Values, DesignEvaluation]:
+        """The objective and the scaled margins of the nonlinear program, and its evaluation."""
         z, heights = self.split(unknowns)
         found = self._evaluate(z)
-        total, below = jnp.zeros_like(unknowns[0]), []
+        total = jnp.zeros_like(unknowns[0])
+        margins = [jnp.ravel(own) / kept.size for own, kept in zip(found.margins, self.limits, strict=True)]
         for i, (term, aim) in enumerate(zip(self.terms, found.aims, strict=True)):
             if i in self.peaks:
                 height = heights[self.peaks.index(i)]
                 total += term.weight * height
-                below.append(height - jnp.ravel(aim) / term.reference)
+                margins.append(height - jnp.ravel(aim) / term.size)
             else:
-                total += term.weight / term.reference * self.mean(aim)
+                total += term.weight / term.size * self.mean(aim)
             if term.most is not None:  # how far it is below its level
-                room = (term.most - jnp.ravel(aim if i in self.peaks else self.mean(aim))) / term.reference
-                below.append(jnp.where(jnp.isinf(term.most), 1.0, room))
-        none = jnp.zeros((0,), total.dtype)
-        inequality = jnp.concatenate([none, *map(jnp.ravel, found.margins), *below])
-        return ProgramValues(total, inequality, jnp.concatenate([none, *map(jnp.ravel, found.zeros)])), found
+                room = (term.most - jnp.ravel(aim if i in self.peaks else self.mean(aim))) / term.size
+                margins.append(jnp.where(jnp.isinf(term.most), 1.0, room))
+        return (total, jnp.concatenate(margins)), found
+
+    def rows_along(self, x: np.ndarray) -> np.ndarray:
+        """(rows, stations) scaled margins of every limit along the body, and of every peak below its height."""
+        found, (_, heights) = self.evaluation(x), self.split(x)
+        known = zip(found.margins, self.limits, strict=True)
+        rows = [own / float(kept.size) for own, kept in known if kept.limit.known.along]
+        for i, height in zip(self.peaks, heights, strict=True):
+            if self.terms[i].objective.peak:
+                rows.append(height - found.aims[i] / float(self.terms[i].size))
+        count = len(self.stations)
+        return np.concatenate([np.zeros((0, count)), *(row.reshape(-1, count) for row in rows)])
 
     def over_the_cases(self, i: int, aim: Array | np.ndarray) -> Float[Array, ""]:
         """One value of an objective over the cases: for a peak the largest, else the weighted mean."""
@@ -177,8 +199,8 @@ def pieces_of(flat: np.ndarray, like: Sequence[Array | np.ndarray]) -> list[np.n
 
 
 @eqx.filter_jit
-def _values_and_slopes(problem: DesignProblem, x: Array) -> tuple[ProgramValues, ProgramValues, DesignEvaluation]:
-    def twice(x: Array) -> tuple[ProgramValues, tuple[ProgramValues, DesignEvaluation]]:
+def _values_and_slopes(problem: DesignProblem, x: Array) -> tuple[Values, Values, DesignEvaluation]:
+    def twice(x: Array) -> tuple[Values, tuple[Values, DesignEvaluation]]:
         values, found = problem.values(x)
         return values, (values, found)
 

@@ -61,10 +61,7 @@ def _numbers(found: Design) -> Iterator[str]:
 def _limits(found: Design) -> Iterator[str]:
     rows, signs = [], {"least": ">=", "most": "<=", "equal": "="}
     for limit in found.limits:
-        bound, reached = (
-            ", ".join(shown(each, limit.dimension) for each in np.ravel(value))
-            for value in (limit.limit, limit.reached)
-        )
+        bound, reached = shown(limit.limit, limit.dimension), shown(limit.reached, limit.dimension)
         text = f"{limit.name} {signs[limit.side]} {bound}{' (implied)' if limit.implied else ''}"
         place = "" if np.isnan(limit.arc_length) else f"s = {shown(limit.arc_length, 'length')}"
         where = ", ".join(part for part in (limit.case, place) if part)
@@ -76,8 +73,7 @@ def _limits(found: Design) -> Iterator[str]:
 def _of_limit(found: Design, limit: LimitReport) -> str:
     if not found.feasible:
         return "broken" if limit.margin < -TOLERANCE else ""
-    several = isinstance(limit.limit, list)  # values with one limit
-    return _worth(found, limit.multiplier, limit.dimension) if limit.active and not several else ""
+    return _worth(found, limit.multiplier, limit.dimension) if limit.active else ""
 
 
 def _worth(found: Design, slope: float, dimension: Dimension) -> str:

@@ -19,7 +19,7 @@ from ..units import Dimension
 from .constrained import ACTIVE, TOLERANCE, LocalMinimum
 from .free_numbers import PLACE
 from .load_cases import LoadCase, case_numbers
-from .problem import DesignEvaluation, DesignProblem, ProgramValues, pieces_of
+from .problem import DesignProblem, Values, pieces_of
 from .search import SearchResult, indifferent
 
 Fixed = tuple[int | None, str]  # a number that is not free: its load case, None for the body; and its name there
@@ -52,8 +52,8 @@ class LimitReport(NamedTuple):
 
     name: str  # of the quantity
     side: str  # "least", "most" or "equal"
-    limit: float | list[float]
-    reached: float | list[float]  # the value there
+    limit: float
+    reached: float  # the value there
     margin: float  # scaled; negative where the limit is broken
     active: bool
     multiplier: float  # how much better the objective becomes per unit of a wider limit; NaN where that is not unique
@@ -136,22 +136,20 @@ def design_of(
 ) -> Design:
     """The result of a search, with everything that is reported."""
     problem, local = outcome.problem, outcome.local
-    at_start = problem.evaluation(np.append(problem.free.scaled_start, np.zeros(len(problem.peaks))))
-    at_end = outcome.evaluation
-    objectives = achieved(problem, at_start, at_end)
-    codes = zip(problem.cases, np.asarray(at_end.codes), strict=False)  # none without a solve
+    body, objectives = jax.tree.map(np.asarray, problem.body(outcome.z)), achieved(outcome)
+    codes = zip(problem.cases, outcome.evaluation.codes, strict=True)
     same = indifferent(problem, outcome.z) if outcome.feasible else ()
     result = design_result(local, outcome.violation, has_answer=len(same) < len(problem.terms))
     return Design(
-        manipulator=jax.tree.map(np.asarray, problem.body(outcome.z)),
+        manipulator=body,
         start=start,
         success=result == "successful",
         feasible=outcome.feasible,
         result=result,
         objective=objectives[0].end if len(objectives) == 1 else local.point.objective,
         objectives=objectives,
-        free=free_numbers(problem, local),
-        limits=limit_reports(problem, local, at_end),
+        free=free_numbers(outcome),
+        limits=limit_reports(outcome, float(body.length)),
         blocking=outcome.blocking,
         optimality=local.optimality.residual,
         violation=outcome.violation,
@@ -191,7 +189,7 @@ def unit_of_objective(problem: DesignProblem) -> float:
         return 1.0
     (term,) = problem.terms
     sense = -1.0 if term.objective.displayed(1.0) < 0 else 1.0
-    return sense * float(term.reference) / float(term.weight)
+    return sense * float(term.size) / float(term.weight)
 
 
 def displayed(problem: DesignProblem, value: float) -> float:
@@ -199,12 +197,13 @@ def displayed(problem: DesignProblem, value: float) -> float:
     if len(problem.terms) != 1 or not np.isfinite(value):
         return value
     (term,) = problem.terms
-    return term.objective.displayed(value * float(term.reference) / float(term.weight))
+    return term.objective.displayed(value * float(term.size) / float(term.weight))
 
 
-def achieved(problem: DesignProblem, at_start: DesignEvaluation, at_end: DesignEvaluation) -> tuple[Achieved, ...]:
+def achieved(outcome: SearchResult) -> tuple[Achieved, ...]:
     """Each objective at the start and at the end."""
-    found = []
+    problem, found = outcome.problem, []
+    at_start, at_end = problem.evaluation(problem.free.scaled_start), outcome.evaluation
     for i, term in enumerate(problem.terms):
         aim, values = term.objective, (problem.over_the_cases(i, each.aims[i]) for each in (at_start, at_end))
         start, end = (aim.displayed(float(value)) for value in values)
@@ -215,11 +214,10 @@ def achieved(problem: DesignProblem, at_start: DesignEvaluation, at_end: DesignE
 # --- what binds ----------------------------------------------------------------------------------
 
 
-def free_numbers(problem: DesignProblem, local: LocalMinimum) -> dict[str, FreeNumber]:
+def free_numbers(outcome: SearchResult) -> dict[str, FreeNumber]:
     """The free numbers, with the multipliers of their bounds."""
-    free, unit, found = problem.free, abs(unit_of_objective(problem)), {}
-    numbers = np.asarray(free.numbers(problem.split(local.point.x)[0]))
-    columns = (free.start, numbers, free.lower, free.upper, free.size)
+    local, free, unit, found = outcome.local, outcome.problem.free, abs(unit_of_objective(outcome.problem)), {}
+    columns = (free.start, np.asarray(free.numbers(outcome.z)), free.lower, free.upper, free.size)
     for i, row in enumerate(zip(*columns, strict=True)):
         start, value, lower, upper, size = map(float, row)
         at_lower, at_upper = abs(value - lower) <= ACTIVE * size, abs(value - upper) <= ACTIVE * size
@@ -230,45 +228,31 @@ def free_numbers(problem: DesignProblem, local: LocalMinimum) -> dict[str, FreeN
     return found
 
 
-def limit_reports(problem: DesignProblem, local: LocalMinimum, found: DesignEvaluation) -> tuple[LimitReport, ...]:
-    """Every side of every limit, where it is tightest."""
-    reports, unit = [], abs(unit_of_objective(problem))
-    rows = pieces_of(np.arange(local.point.inequality.size), found.margins)
-    equations = pieces_of(np.arange(local.point.equality.size), found.zeros)
-    length = float(np.asarray(problem.body(problem.split(local.point.x)[0]).length))
-
-    def report(i: int, side: str, margins: np.ndarray, kind: str, places: np.ndarray) -> LimitReport:
-        """The report of a limit with its scaled margins, (cases, ...)."""
-        limit = problem.limits[i]
-        scale, bound = float(np.asarray(limit.scale)), np.asarray(getattr(limit, side))
-        at = np.unravel_index(np.argmin(-np.abs(margins) if side == "equal" else margins), margins.shape)
-        if side == "equal":
-            margin, reached = -abs(margins[at]), bound + (margins[at[0]] * scale).reshape(bound.shape)
-        else:
-            margin, reached = margins[at], bound + (1 if side == "least" else -1) * margins[at] * scale
-        weights = unit / scale * np.isin(np.arange(getattr(local.point, kind).size), places)
-        known = local.feasible and bound.ndim == 0
-        case = problem.cases[at[0]].name or (f"case {at[0] + 1}" if len(problem.cases) > 1 else "")
-        return LimitReport(
-            name=limit.name,
-            side=side,
-            limit=bound.tolist(),
-            reached=reached.tolist(),
-            margin=float(margin),
-            active=bool(side == "equal" or margin <= ACTIVE),
-            multiplier=local.optimality.price(**{kind: weights}) if known else np.nan,
-            arc_length=float(problem.stations[at[-1]]) * length if limit.known.along else np.nan,
-            case=case if limit.known.bent else "",
-            implied=problem.implied[i],
-            dimension=limit.known.dimension,
-        )
-
-    for i, limit in enumerate(problem.limits):
-        sides = [side for side in ("least", "most") if getattr(limit, side) is not None]
-        for k, side in enumerate(sides):
-            reports.append(report(i, side, np.asarray(found.margins[i])[:, k], "inequality", rows[i][:, k]))
-        if limit.equal is not None:
-            reports.append(report(i, "equal", np.asarray(found.zeros[i]), "equality", equations[i]))
+def limit_reports(outcome: SearchResult, length: float) -> tuple[LimitReport, ...]:
+    """Every side of every limit, where it is tightest, on a body of this length."""
+    problem, local, found = outcome.problem, outcome.local, outcome.evaluation.margins
+    reports, all_rows = [], np.arange(local.point.margins.size)
+    for kept, each, rows in zip(problem.limits, found, pieces_of(all_rows, found), strict=True):
+        limit, size, unit = kept.limit, float(kept.size), abs(unit_of_objective(problem))
+        for k, (side, bound) in enumerate(limit.sides.items()):
+            margins = -np.abs(each[:, k]) if side == "equal" else each[:, k]
+            at = np.unravel_index(np.argmin(margins), margins.shape)
+            margin, weights = float(margins[at]) / size, unit / size * np.isin(all_rows, rows[:, k])
+            case = problem.cases[at[0]].name or (f"case {at[0] + 1}" if len(problem.cases) > 1 else "")
+            report = LimitReport(
+                name=limit.name,
+                side=side,
+                limit=float(bound),
+                reached=float(bound + each[:, k][at] * (-1 if side == "most" else 1)),
+                margin=margin,
+                active=bool(side == "equal" or margin <= ACTIVE),
+                multiplier=local.optimality.price(weights) if local.feasible else np.nan,
+                arc_length=float(problem.stations[at[-1]]) * length if limit.known.along else np.nan,
+                case=case if limit.known.bent else "",
+                implied=kept.implied,
+                dimension=limit.known.dimension,
+            )
+            reports.append(report)
     return tuple(reports)
 
 
@@ -307,8 +291,8 @@ def with_fixed(problem: DesignProblem, numbers: Mapping[Fixed, Array]) -> Design
 
 
 @eqx.filter_jit
-def _slopes(problem: DesignProblem, x: Array, fixed: tuple[Fixed, ...], numbers: Array) -> ProgramValues:
-    """The derivatives of all values by fixed numbers, on the last axis."""
+def _slopes(problem: DesignProblem, x: Array, fixed: tuple[Fixed, ...], numbers: Array) -> Values:
+    """The derivatives of objective and margins by fixed numbers, on the last axis."""
     return jax.jacfwd(lambda numbers: with_fixed(problem, dict(zip(fixed, numbers, strict=True))).values(x)[0])(numbers)
 
 
@@ -320,6 +304,5 @@ def sensitivities(problem: DesignProblem, local: LocalMinimum) -> dict[Fixed, fl
     numbers = fixed_numbers(problem)
     values = jnp.asarray(list(numbers.values()))
     slopes = jax.tree.map(np.asarray, _slopes(problem, jnp.asarray(local.point.x), tuple(numbers), values))
-    columns = zip(slopes.objective, slopes.inequality.T, slopes.equality.T, strict=True)
-    answers = [float(own) - local.optimality.price(*limits) for own, *limits in columns]
-    return dict(zip(numbers, answers, strict=True))
+    columns = zip(numbers, slopes[0], slopes[1].T, strict=True)
+    return {name: float(own) - local.optimality.price(limits) for name, own, limits in columns}

@@ -1,5 +1,6 @@
 """Searches for the best body: from one start or many, and again where limits are broken between the stations."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -13,6 +14,7 @@ from .constrained import (
     LITTLE,
     TOLERANCE,
     LocalMinimum,
+    Optimality,
     Point,
     least_violation,
     minimise_constrained,
@@ -65,114 +67,101 @@ class SearchResult(NamedTuple):
         return np.asarray(self.problem.split(self.local.point.x)[0])
 
 
-class DesignSearch:
-    """Searches of one problem, whose last `WANDERING` stations are moved."""
+def search(problem: DesignProblem, starts: Sequence[np.ndarray], max_iterations: int) -> SearchResult:
+    """The best of the searches that begin at some scaled free numbers."""
+    found = [_from_start(problem, z, max_iterations) for z in each("search from start", starts)]
+    best = min(found, key=lambda each: each.rank)
+    return best._replace(starts=tuple(each.value for each in found))
 
-    def __init__(self, problem: DesignProblem, max_iterations: int):
-        self.problem, self.max_iterations = problem, max_iterations
-        heights = np.full(len(problem.peaks), np.inf)
-        self.ranges = problem.free.ranges
-        self.bounds = np.append(0 * self.ranges, -heights), np.append(self.ranges, heights)
 
-    def from_starts(self, starts: int, seed: int) -> SearchResult:
-        """The best of the searches from the start and from the best of some points within the bounds."""
-        points = [self.problem.free.scaled_start, *self._screened(starts, seed)]
-        found = [self.from_start(z) for z in each("search from start", points)]
-        best = min(found, key=lambda each: each.rank)
-        return best._replace(starts=tuple(each.value for each in found))
+def starts_of(problem: DesignProblem, tried: int, seed: int) -> list[np.ndarray]:
+    """The start, and the best of `tried` - 1 points within the bounds, by objective and largest violation."""
+    from scipy.stats import qmc
 
-    def _screened(self, starts: int, seed: int) -> list[np.ndarray]:
-        """The most promising of `starts` - 1 points, by the objective and a penalty for the largest violation."""
-        from scipy.stats import qmc
+    start, ranges = problem.free.scaled_start, problem.free.ranges
+    if tried == 1:
+        return [start]
+    points = qmc.Sobol(ranges.size, rng=np.random.default_rng(seed)).random(2 ** int(np.ceil(np.log2(tried))))
+    points = points[: tried - 1] * ranges
+    there = [problem(problem.unknowns(z)) for z in each("trying start", list(points))]
+    merit = [point.objective + BROKEN * point.violation if point.usable else np.inf for point in there]
+    return [start, *(points[i] for i in np.argsort(merit)[:SEARCHES] if np.isfinite(merit[i]))]
 
-        if starts <= 1:
-            return []
-        sobol = qmc.Sobol(self.ranges.size, rng=np.random.default_rng(seed))
-        points = sobol.random(2 ** int(np.ceil(np.log2(starts))))[: starts - 1] * self.ranges
-        there = [self.problem(self.with_heights(z)) for z in each("trying start", list(points))]
-        merit = [point.objective + BROKEN * point.violation if point.usable else np.inf for point in there]
-        return [points[i] for i in np.argsort(merit)[:SEARCHES] if np.isfinite(merit[i])]
 
-    def with_heights(self, z: np.ndarray) -> np.ndarray:
-        """Scaled free numbers, followed by the heights of the peaks there."""
-        problem = self.problem
-        aims = problem.evaluation(np.append(z, np.zeros(len(problem.peaks)))).aims
-        return np.append(z, [np.max(aims[i]) / float(problem.terms[i].reference) for i in problem.peaks])
+def _from_start(problem: DesignProblem, z: np.ndarray, max_iterations: int) -> SearchResult:
+    """The best from one start; it searches again from elsewhere if some numbers have no slope at its end.
 
-    def from_start(self, z: np.ndarray) -> SearchResult:
-        """The best from one start; it searches again from elsewhere if some numbers have no slope at its end.
+    An example is a bore of radius 0: area and second moment grow with its square and its fourth power.
+    """
+    found, free = _repeated(problem, z, max_iterations), problem.free
+    flat = _flat(found, z)
+    moved = found.z + np.where(flat, AWAY * free.ranges * np.where(found.z > free.ranges / 2, -1.0, 1.0), 0.0)
+    if not np.any(flat) or not problem(problem.unknowns(moved)).usable:
+        return found
+    other = _repeated(problem, moved, max_iterations)
+    if other.feasible and found.feasible:
+        better = other.value < found.value - GAIN * abs(found.value)
+    else:
+        better = other.rank < found.rank
+    result = "found a better body" if better else "found no better body"
+    places = free.in_words(found.z, flat), free.in_words(moved, flat)
+    remark = f"{places[0]}: the objective has no slope there; a search from {places[1]} {result}"
+    return (other if better else found)._replace(remarks=(remark,))
 
-        An example is a bore of radius 0: area and second moment grow with its square and its fourth power.
-        """
-        found = self._from(z)
-        flat = self._flat(found.local.point, z)
-        moved = found.z + np.where(flat, AWAY * self.ranges * np.where(found.z > self.ranges / 2, -1.0, 1.0), 0.0)
-        if not np.any(flat) or not self.problem(self.with_heights(moved)).usable:
-            return found
-        other, free = self._from(moved), self.problem.free
-        if other.feasible and found.feasible:
-            better = other.value < found.value - GAIN * abs(found.value)
-        else:
-            better = other.rank < found.rank
-        result = "found a better body" if better else "found no better body"
-        places = free.in_words(found.z, flat), free.in_words(moved, flat)
-        remark = f"{places[0]}: the objective has no slope there; a search from {places[1]} {result}"
-        return (other if better else found)._replace(remarks=(remark,))
 
-    def _flat(self, point: Point, start: np.ndarray) -> np.ndarray:
-        """Which numbers are at a bound or at their start, and change neither the objective nor an active limit."""
-        x, count = point.x[: start.size], start.size
-        active = point.inequality_slopes[point.inequality <= ACTIVE]
-        slopes = np.concatenate([point.gradient[None], active, point.equality_slopes])[:, :count]
-        still = (x <= ACTIVE) | (x >= self.ranges - ACTIVE) | (np.abs(x - start) <= FLAT * self.ranges)
-        return still & (np.max(np.abs(slopes), axis=0) * self.ranges <= FLAT)
+def _flat(found: SearchResult, start: np.ndarray) -> np.ndarray:
+    """Which numbers are at a bound or at their start, and change neither the objective nor an active limit."""
+    point, ranges, z = found.local.point, found.problem.free.ranges, found.z
+    active = point.slopes[point.equal | (point.margins <= ACTIVE)]
+    slopes = np.concatenate([point.gradient[None], active])[:, : z.size]
+    still = (z <= ACTIVE) | (z >= ranges - ACTIVE) | (np.abs(z - start) <= FLAT * ranges)
+    return still & (np.max(np.abs(slopes), axis=0) * ranges <= FLAT)
 
-    def _from(self, z: np.ndarray) -> SearchResult:
-        """The search from one start, repeated while that helps and it is not stationary, or limits are broken between.
 
-        If limits are broken at its end, it begins again at the point that breaks them least.
-        """
-        problem, x, looks, before = self.problem, self.with_heights(z), 0, np.inf
-        while True:
-            local, blocking = self._minimum(problem, x), ()
-            if not local.feasible:
-                least = least_violation(problem, local.point.x, *self.bounds)
-                x = least.point.x[:-1]
-                if least.point.objective <= TOLERANCE:
-                    local = self._minimum(problem, x)
-                else:
-                    point, blocking = problem(x), self._blocking(problem, least)
-                    local = local._replace(point=point, optimality=optimality(point, *self.bounds))
-            violation, places = broken_between(problem, local)
-            ended = local.iterations >= self.max_iterations or local.point.objective > before - LITTLE
-            done = violation <= TOLERANCE and (local.stationary or ended)
-            if done or not local.feasible or looks == LOOKS:
-                return SearchResult(local, problem, violation, blocking)
-            kept, wandering = np.split(np.asarray(problem.stations), [-WANDERING])
-            moved = np.concatenate([kept, wandering[len(places) :], places])  # in place of the oldest
-            problem, x, looks = replace(problem, stations=jnp.asarray(moved)), local.point.x, looks + 1
-            before = local.point.objective
+def _repeated(problem: DesignProblem, z: np.ndarray, max_iterations: int) -> SearchResult:
+    """The search from one start, repeated while that helps and it is not stationary, or limits are broken between.
 
-    @stage("searching")
-    def _minimum(self, problem: DesignProblem, x: np.ndarray) -> LocalMinimum:
-        return minimise_constrained(problem, x, *self.bounds, max_iterations=self.max_iterations)
+    The last `WANDERING` stations are moved to where limits are broken.
+    """
+    x, before, looks = problem.unknowns(z), np.inf, 0
+    while True:
+        local, blocking = _minimum(problem, x, max_iterations)
+        violation, places = broken_between(problem, local)
+        ended = local.iterations >= max_iterations or local.point.objective > before - LITTLE
+        done = violation <= TOLERANCE and (local.stationary or ended)
+        if done or not local.feasible or looks == LOOKS:
+            return SearchResult(local, problem, violation, blocking)
+        kept, wandering = np.split(np.asarray(problem.stations), [-WANDERING])
+        moved = np.concatenate([kept, wandering[len(places) :], places])  # in place of the oldest
+        problem, x, looks = replace(problem, stations=jnp.asarray(moved)), local.point.x, looks + 1
+        before = local.point.objective
 
-    def _blocking(self, problem: DesignProblem, least: LocalMinimum) -> tuple[str, ...]:
-        """Limits and bounds with multipliers that are not zero, at the point that breaks them least."""
-        found, multipliers = problem.evaluation(least.point.x[:-1]), least.optimality
-        of_ranges = pieces_of(multipliers.inequality, found.margins)
-        count = multipliers.inequality.size - 2 * sum(zero.size for zero in found.zeros)
-        above, below = np.split(multipliers.inequality[count:], 2)
-        of_equations = pieces_of(above + below, found.zeros)
-        names = [
-            str(limit)
-            for limit, *prices in zip(problem.limits, of_ranges, of_equations, strict=True)
-            if any(np.any(price > NOT_ZERO) for price in prices)
-        ]
-        for side, prices in (("lower", multipliers.lower), ("upper", multipliers.upper)):
-            numbers = np.flatnonzero(prices[: self.ranges.size] > NOT_ZERO)
-            names += [f"{side} bound of {problem.free.label(int(i))}" for i in numbers]
-        return tuple(dict.fromkeys(names))
+
+@stage("searching")
+def _minimum(problem: DesignProblem, x: np.ndarray, most: int) -> tuple[LocalMinimum, tuple[str, ...]]:
+    """The end of one search, or of one more from the point that breaks the limits least; and limits that it breaks."""
+    local = minimise_constrained(problem, x, *problem.bounds, max_iterations=most)
+    if local.feasible:
+        return local, ()
+    least = least_violation(problem, local.point.x, *problem.bounds)
+    x = least.point.x[:-1]
+    if least.point.objective <= TOLERANCE:
+        return minimise_constrained(problem, x, *problem.bounds, max_iterations=most), ()
+    point = problem(x)
+    local = local._replace(point=point, optimality=optimality(point, *problem.bounds))
+    return local, _blocking(problem, point, least.optimality)
+
+
+def _blocking(problem: DesignProblem, point: Point, least: Optimality) -> tuple[str, ...]:
+    """Limits and bounds with multipliers that are not zero, at the point that breaks them least."""
+    prices, from_below = np.split(least.limits.copy(), [point.margins.size])
+    prices[point.equal] += from_below
+    pieces = pieces_of(prices, problem.evaluation(point.x).margins)
+    names = [str(kept.limit) for kept, own in zip(problem.limits, pieces, strict=True) if np.any(own > NOT_ZERO)]
+    for side, prices in (("lower", least.lower), ("upper", least.upper)):
+        numbers = np.flatnonzero(prices[: len(problem.free.names)] > NOT_ZERO)
+        names += [f"{side} bound of {problem.free.label(int(i))}" for i in numbers]
+    return tuple(dict.fromkeys(names))
 
 
 def indifferent(problem: DesignProblem, z: np.ndarray) -> tuple[int, ...]:
@@ -192,13 +181,11 @@ def indifferent(problem: DesignProblem, z: np.ndarray) -> tuple[int, ...]:
 
 def _sizes(problem: DesignProblem, z: np.ndarray) -> np.ndarray:
     """Every objective over its size at the start; NaN for a body without an accurate equilibrium."""
-    found = problem.evaluation(np.append(z, np.zeros(len(problem.peaks))))
-    sizes = [
-        problem.over_the_cases(i, aim) / term.reference
-        for i, (aim, term) in enumerate(zip(found.aims, problem.terms, strict=True))
-    ]
+    found = problem.evaluation(z)
+    known = enumerate(zip(found.aims, problem.terms, strict=True))
+    sizes = [float(problem.over_the_cases(i, aim) / term.size) for i, (aim, term) in known]
     accurate = np.isin(found.codes, USABLE) & (found.codes != Status.inaccurate)
-    return np.where(np.all(accurate), np.asarray(sizes, float), np.nan)
+    return np.where(np.all(accurate), sizes, np.nan)
 
 
 # --- between the stations ------------------------------------------------------------------------
@@ -224,19 +211,8 @@ def _margins(problem: DesignProblem, local: LocalMinimum, places: np.ndarray) ->
     """(rows, places) of every limit along the body, and of every peak below its height."""
     count = len(problem.stations)
     blocks = np.pad(places, (0, -len(places) % count), mode="edge").reshape(-1, count)
-    found = [_rows_along(replace(problem, stations=jnp.asarray(block)), local.point.x) for block in blocks]
+    found = [replace(problem, stations=jnp.asarray(block)).rows_along(local.point.x) for block in blocks]
     return np.concatenate(found, axis=1)[:, : len(places)]
-
-
-def _rows_along(problem: DesignProblem, x: np.ndarray) -> np.ndarray:
-    found = problem.evaluation(x)
-    heights = dict(zip(problem.peaks, problem.split(x)[1], strict=True))
-    rows = [margin for margin, limit in zip(found.margins, problem.limits, strict=True) if limit.known.along]
-    for i, term in enumerate(problem.terms):
-        if term.objective.peak:
-            rows.append(heights[i] - found.aims[i] / float(term.reference))
-    count = len(problem.stations)
-    return np.concatenate([np.zeros((0, count)), *(row.reshape(-1, count) for row in rows)])
 
 
 def _lowest(x: np.ndarray, rows: np.ndarray) -> np.ndarray:
