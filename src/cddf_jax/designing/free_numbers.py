@@ -40,12 +40,6 @@ class FreeNumbers(eqx.Module):
         names = self.names[i]
         return names[0] if len(names) == 1 else names[0].replace("tendons.0.", "tendons.*.")
 
-    def in_words(self, z: Vector, chosen: np.ndarray) -> str:
-        """Some of the numbers with their names, as in "inner_radius.tip = 2 mm"."""
-        labels = {int(i): self.label(int(i)) for i in np.flatnonzero(chosen)}
-        numbers = np.asarray(self.numbers(z))
-        return ", ".join(f"{label} = {number_in_words(label, float(numbers[i]))}" for i, label in labels.items())
-
     @property
     def scaled_start(self) -> np.ndarray:
         return np.asarray(self.scaled(self.start))

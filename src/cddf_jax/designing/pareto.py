@@ -16,8 +16,8 @@ from .free_numbers import Bounds, number_in_words
 from .load_cases import LoadCase
 from .objectives import Limit
 from .problem import DesignProblem
-from .results import Design, design_of, indifference_in_words
-from .search import SearchResult, indifferent, search
+from .results import Design, design_of
+from .search import SearchResult, search, starts_of
 
 SECOND = 1e-4  # weight of the other objective, so that it is not larger than it needs to be
 SAME = 1e-3  # relative: ends that differ by less in both objectives are one body
@@ -108,9 +108,9 @@ def _searched(problem: DesignProblem, num: int, max_iterations: int) -> list[Sea
         """Make one objective small under a level of the other."""
         return search(_at(problem, small, level), starts, max_iterations)
 
-    start = problem.free.scaled_start
-    first = best(0, np.inf, start)
-    found = [first, best(1, np.inf, first.z, start)]
+    starts = starts_of(problem)
+    first = best(0, np.inf, *starts)
+    found = [first, best(1, np.inf, first.z, *starts)]
     while len(found) < num:
         raw = np.array([[problem.over_the_cases(k, each.evaluation.aims[k]) for k in (0, 1)] for each in found])
         size = np.maximum(np.abs(raw[0] - raw[-1]), 1e-12 * np.abs(raw[0]) + 1e-300)
@@ -141,8 +141,6 @@ def _front(problem: DesignProblem, found: list[SearchResult], start: Manipulator
     remarks = [f"{missing} of {len(found)} points were not found"] if missing else []
     if len(found) < num and not missing:
         remarks = ["one body is best in both objectives: they do not conflict"]
-    if found[0].feasible:
-        remarks += indifference_in_words(problem, indifferent(problem, found[0].z))
     return ParetoFront(
         names=(str(first), str(second)),
         dimensions=(first.dimension, second.dimension),

@@ -20,7 +20,7 @@ from .constrained import ACTIVE, TOLERANCE, LocalMinimum
 from .free_numbers import PLACE
 from .load_cases import LoadCase, case_numbers
 from .problem import DesignProblem, Values, pieces_of
-from .search import SearchResult, indifferent
+from .search import SearchResult, undetermined
 
 Fixed = tuple[int | None, str]  # a number that is not free: its load case, None for the body; and its name there
 Choices = tuple[tuple[dict[str, float], float], ...]  # numbers by name, and the objective that was reached with them
@@ -138,8 +138,7 @@ def design_of(
     problem, local = outcome.problem, outcome.local
     body, objectives = jax.tree.map(np.asarray, problem.body(outcome.z)), achieved(outcome)
     codes = zip(problem.cases, outcome.evaluation.codes, strict=True)
-    same = indifferent(problem, outcome.z) if outcome.feasible else ()
-    result = design_result(local, outcome.violation, has_answer=len(same) < len(problem.terms))
+    result = design_result(outcome)
     return Design(
         manipulator=body,
         start=start,
@@ -158,29 +157,25 @@ def design_of(
         choices=choices,
         chosen=chosen or {},
         cases=problem.cases,
-        remarks=(
-            *(f"{case.name or 'the load case'}: {words_of(code)}" for case, code in codes if code != Status.successful),
-            *outcome.remarks,
-            *indifference_in_words(problem, same),
+        remarks=tuple(
+            f"{case.name or 'the load case'}: {words_of(code)}" for case, code in codes if code != Status.successful
         ),
         outcome=outcome,
     )
 
 
-def design_result(local: LocalMinimum, violation: float, *, has_answer: bool) -> str:
-    """The result in words; `has_answer` says whether a free number changes an objective."""
+def design_result(outcome: SearchResult) -> str:
+    """The result in words."""
+    local = outcome.local
     if not local.point.usable:
         return "no usable equilibrium was found"
-    if not violation <= TOLERANCE:
+    if not outcome.feasible:
         return "infeasible"
     if not local.stationary:
         return f"not stationary: the first-order optimality is {local.optimality.residual:.2g} and not {TOLERANCE:g}"
-    return "successful" if has_answer else "undetermined: no free number changes the objective"
-
-
-def indifference_in_words(problem: DesignProblem, same: tuple[int, ...]) -> list[str]:
-    """That no free number changes some objectives."""
-    return [f"{problem.terms[i].objective} is the same for all bodies that were tried within the bounds" for i in same]
+    if undetermined(outcome.problem, outcome.z):
+        return "undetermined: no free number changes the objective"
+    return "successful"
 
 
 def unit_of_objective(problem: DesignProblem) -> float:

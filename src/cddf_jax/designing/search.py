@@ -30,8 +30,8 @@ NEAR = 1e-2  # a margin that may be negative between the points of the grid
 NOT_ZERO = 1e-6  # a multiplier
 BROKEN = 10.0  # weight of a violation beside the objective when starts are compared
 FLAT = 1e-4  # scaled: a number is flat if its slopes, over its whole range, change objective and limits by less
-AWAY = 1 / 16  # of its range: how far a flat number is moved
-GAIN = 10 * TOLERANCE  # of the objective at the start: a body is better only by more than this
+AWAY = 1 / 16  # of its range: how far beside a flat start another search begins
+GAIN = 10 * TOLERANCE  # of the objective at the start: one that changes by less is the same
 BODIES = 8  # drawn within the bounds, to see whether an objective differs between bodies
 
 
@@ -43,7 +43,6 @@ class SearchResult(NamedTuple):
     violation: float  # also between the stations
     blocking: tuple[str, ...]  # limits that contradict each other, if it is not feasible
     starts: tuple[float, ...] = ()  # the objective reached from each start
-    remarks: tuple[str, ...] = ()
 
     @property
     def feasible(self) -> bool:
@@ -55,6 +54,7 @@ class SearchResult(NamedTuple):
 
     @property
     def rank(self) -> tuple[float, float]:
+        """Smaller is better."""
         return self.value, self.violation
 
     @property
@@ -68,54 +68,42 @@ class SearchResult(NamedTuple):
 
 
 def search(problem: DesignProblem, starts: Sequence[np.ndarray], max_iterations: int) -> SearchResult:
-    """The best of the searches that begin at some scaled free numbers."""
-    found = [_from_start(problem, z, max_iterations) for z in each("search from start", starts)]
-    best = min(found, key=lambda each: each.rank)
+    """Searches that begin at some scaled free numbers; the first of those that end as well as the best."""
+    found = [_repeated(problem, z, max_iterations) for z in each("search from start", starts)]
+    value, violation = min(each.rank for each in found)
+    best = next(
+        each
+        for each in found
+        if each.value <= value + GAIN * abs(value) and each.violation <= max(violation, TOLERANCE)
+    )
     return best._replace(starts=tuple(each.value for each in found))
 
 
-def starts_of(problem: DesignProblem, tried: int, seed: int) -> list[np.ndarray]:
-    """The start, and the best of `tried` - 1 points within the bounds, by objective and largest violation."""
+def starts_of(problem: DesignProblem, tried: int = 1, seed: int = 0) -> list[np.ndarray]:
+    """The start, a point beside it if it is flat, and the best of `tried` - 1 points by objective and violation."""
+    start, ranges = problem.free.scaled_start, problem.free.ranges
+    first = [start, *_beside(problem, start)]
+    if tried == 1:
+        return first
     from scipy.stats import qmc
 
-    start, ranges = problem.free.scaled_start, problem.free.ranges
-    if tried == 1:
-        return [start]
     points = qmc.Sobol(ranges.size, rng=np.random.default_rng(seed)).random(2 ** int(np.ceil(np.log2(tried))))
     points = points[: tried - 1] * ranges
     there = [problem(problem.unknowns(z)) for z in each("trying start", list(points))]
     merit = [point.objective + BROKEN * point.violation if point.usable else np.inf for point in there]
-    return [start, *(points[i] for i in np.argsort(merit)[:SEARCHES] if np.isfinite(merit[i]))]
+    return [*first, *(points[i] for i in np.argsort(merit)[:SEARCHES] if np.isfinite(merit[i]))]
 
 
-def _from_start(problem: DesignProblem, z: np.ndarray, max_iterations: int) -> SearchResult:
-    """The best from one start; it searches again from elsewhere if some numbers have no slope at its end.
+def _beside(problem: DesignProblem, start: np.ndarray) -> list[np.ndarray]:
+    """A point beside the start, if some numbers change neither the objective nor a limit that holds it back.
 
     An example is a bore of radius 0: area and second moment grow with its square and its fourth power.
     """
-    found, free = _repeated(problem, z, max_iterations), problem.free
-    flat = _flat(found, z)
-    moved = found.z + np.where(flat, AWAY * free.ranges * np.where(found.z > free.ranges / 2, -1.0, 1.0), 0.0)
-    if not np.any(flat) or not problem(problem.unknowns(moved)).usable:
-        return found
-    other = _repeated(problem, moved, max_iterations)
-    if other.feasible and found.feasible:
-        better = other.value < found.value - GAIN * abs(found.value)
-    else:
-        better = other.rank < found.rank
-    result = "found a better body" if better else "found no better body"
-    places = free.in_words(found.z, flat), free.in_words(moved, flat)
-    remark = f"{places[0]}: the objective has no slope there; a search from {places[1]} {result}"
-    return (other if better else found)._replace(remarks=(remark,))
-
-
-def _flat(found: SearchResult, start: np.ndarray) -> np.ndarray:
-    """Which numbers are at a bound or at their start, and change neither the objective nor an active limit."""
-    point, ranges, z = found.local.point, found.problem.free.ranges, found.z
-    active = point.slopes[point.equal | (point.margins <= ACTIVE)]
-    slopes = np.concatenate([point.gradient[None], active])[:, : z.size]
-    still = (z <= ACTIVE) | (z >= ranges - ACTIVE) | (np.abs(z - start) <= FLAT * ranges)
-    return still & (np.max(np.abs(slopes), axis=0) * ranges <= FLAT)
+    point, ranges = problem(problem.unknowns(start)), problem.free.ranges
+    slopes = np.concatenate([point.gradient[None], point.slopes[point.equal | (point.margins <= ACTIVE)]])
+    flat = np.max(np.abs(slopes), axis=0)[: start.size] * ranges <= FLAT
+    moved = start + np.where(flat, AWAY * ranges * np.where(start > ranges / 2, -1.0, 1.0), 0.0)
+    return [moved] if np.any(flat) and problem(problem.unknowns(moved)).usable else []
 
 
 def _repeated(problem: DesignProblem, z: np.ndarray, max_iterations: int) -> SearchResult:
@@ -164,19 +152,18 @@ def _blocking(problem: DesignProblem, point: Point, least: Optimality) -> tuple[
     return tuple(dict.fromkeys(names))
 
 
-def indifferent(problem: DesignProblem, z: np.ndarray) -> tuple[int, ...]:
-    """The objectives that no free number changes: at z they are what they were at the start, and in every other body.
+def undetermined(problem: DesignProblem, z: np.ndarray) -> bool:
+    """Whether no free number changes an objective: at z it is what it was at the start, and in every other body.
 
     The other bodies are drawn around z, within the bounds. Their equilibria differ, which a slope at z does not show.
     """
+    drawn = np.random.default_rng(0).random((BODIES, z.size)) * problem.free.ranges
     best = _sizes(problem, z)
-    same = np.abs(_sizes(problem, problem.free.scaled_start) - best) <= GAIN
-    if np.any(same):
-        drawn = np.random.default_rng(0).random((BODIES, z.size)) * problem.free.ranges
-        others = np.array([_sizes(problem, z + (other - z) / 4) for other in drawn])
-        known = others[np.all(np.isfinite(others), axis=1)]
-        same &= np.all(np.abs(known - best) <= GAIN, axis=0) & (len(known) > 0)
-    return tuple(int(i) for i in np.flatnonzero(same))
+    if np.any(np.abs(_sizes(problem, problem.free.scaled_start) - best) > GAIN):
+        return False
+    others = np.array([_sizes(problem, z + (other - z) / 4) for other in drawn])
+    known = others[np.all(np.isfinite(others), axis=1)]
+    return len(known) > 0 and bool(np.all(np.abs(known - best) <= GAIN))
 
 
 def _sizes(problem: DesignProblem, z: np.ndarray) -> np.ndarray:
