@@ -15,6 +15,7 @@ from read_back import legend_of, xy_of, y_of
 from refusals import refused
 
 import cddf_jax as cddf
+from cddf_jax.designing.results import Achieved
 from cddf_jax.designing.task_file import KEYS, DesignTask, read_task
 from cddf_jax.estimation.determination import IDENTIFIED
 from cddf_jax.figures.designs import design_figure, draw_design, draw_trade_off
@@ -151,8 +152,9 @@ def test_the_figure_of_a_trade_off():
     """The numbers are made up."""
     values = np.array([[5e-5, 0.12], [6e-5, 0.11], [7e-5, 0.105]])
     designs = [SimpleNamespace(success=True)] * 3
-    told = {"names": ("least volume", "least strain"), "dimensions": ("volume", "dimensionless"), "values": values}
-    front: Any = SimpleNamespace(**told, start=(6e-5, 0.12), designs=designs)
+    volume = Achieved("least volume", 6e-5, 5e-5, 1.0, "volume")
+    strain = Achieved("least strain", 0.12, 0.12, 1.0, "dimensionless")
+    front: Any = SimpleNamespace(objectives=(volume, strain), values=values, designs=designs)
     axes = draw_trade_off(front)
     given = Figure().subplots()
     assert draw_trade_off(front, given) is given
@@ -270,7 +272,10 @@ REFUSED = {
     "no robot": (lambda t: t.replace("robot =", "nodes_ ="), "unknown key 'nodes_'; did you mean nodes?"),
     "kinematics": (lambda t: t.replace('"exact"', '"other"'), "kinematics must be one of"),
     "no unit": (lambda t: t.replace('"8 mm"', '"8"'), "free outer_radius: bounds needs a unit of length"),
-    "one bound": (lambda t: t.replace('["8 mm", "25 mm"]', '["8 mm"]'), "bounds must be two values"),
+    "one bound": (
+        lambda t: t.replace('["8 mm", "25 mm"]', '["8 mm"]'),
+        "the bounds of 'outer_radius' must be (lower, upper), got [0.008]",
+    ),
     "two forms": (lambda t: t.replace("taper = true", "taper = true, knots = 5"), "write knots = 9 for a spline or"),
     "a form of a number": (
         lambda t: t.replace("outer_radius =", "length ="),
@@ -280,7 +285,10 @@ REFUSED = {
         lambda t: t.replace('{ taper = true, bounds = ["8 mm", "25 mm"] }', "3"),
         'free outer_radius: write { bounds = ["8 mm", "25 mm"] }',
     ),
-    "choices beside bounds": (lambda t: t.replace("taper = true,", "choices = [1],"), "and nothing beside it"),
+    "choices beside bounds": (
+        lambda t: t.replace("taper = true,", "choices = [1],"),
+        "a number with choices has nothing beside them",
+    ),
     "no case": (lambda t: t.replace("[[case]]", "[case]"), "write each below a line [[case]]"),
     "a push": (lambda t: t.replace('"50 N"', '"-50 N"'), "case 1: base_tension '-50 N': a tendon cannot push"),
     "two tensions": (lambda t: t.replace('"50 N"', '["50 N", "60 N"]'), "case 1: base_tension: 2 given"),

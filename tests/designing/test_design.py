@@ -59,7 +59,7 @@ def uniform(kinematics, thinnest=0.0105, starts=1):
         bounds={"outer_radius": (thinnest, 0.03)},
         constraints=[cddf.Limit("tip_angle", equal=1.0)],
         cases=cddf.LoadCase(T),
-        options=cddf.DesignOptions(starts=starts, seed=1),
+        options=cddf.DesignOptions(starts=starts),
     )
 
 
@@ -526,7 +526,7 @@ def near_in_every_case(cases, worst):
 
 
 def test_uncertain_cases_have_the_means_and_the_covariance_of_the_fit():
-    cases = cddf.uncertain_cases(cddf.LoadCase(T, weight=2.0, name="bent"), a_fit(), num=256, seed=4)
+    cases = cddf.uncertain_cases(cddf.LoadCase(T, weight=2.0, name="bent"), a_fit(), num=256)
     draws = np.array([list(case.numbers.values()) for case in cases])
     assert [list(case.numbers) for case in cases[:1]] == [["friction_coefficient", "youngs_modulus"]]
     # balanced points: means to 1 % of the spread, where independent draws would miss by 6 %
@@ -536,7 +536,7 @@ def test_uncertain_cases_have_the_means_and_the_covariance_of_the_fit():
     assert scaled == pytest.approx(np.array([[1.0, 0.5], [0.5, 1.0]]), abs=0.05)
     assert sum(float(case.weight) for case in cases) == pytest.approx(2.0)
     assert cases[0].name == "bent 1"
-    again = cddf.uncertain_cases(cddf.LoadCase(T), a_fit(), num=256, seed=4)
+    again = cddf.uncertain_cases(cddf.LoadCase(T), a_fit(), num=256)
     assert [float(case.numbers["youngs_modulus"]) for case in again] == draws[:, 1].tolist()
 
 

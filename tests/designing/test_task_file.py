@@ -218,7 +218,7 @@ def test_a_case_that_counts_nothing(weight):
     ("options", "message"),
     [
         ({"starts": 0}, "starts must be a whole number of 1 or more, got 0"),
-        ({"max_iterations": True}, "max_iterations must be a whole number of 1 or more"),
+        ({"nodes": True}, "nodes must be a whole number of 4 or more"),
         ({"worst": 1}, "worst must be true or false, got 1"),
     ],
 )

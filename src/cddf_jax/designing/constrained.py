@@ -15,6 +15,7 @@ TOLERANCE = 1e-6  # scaled: of limits, and of the first-order optimality
 ACTIVE = 1e-5  # scaled: a limit or bound with a smaller margin is active
 UNIQUE = 1e-5  # relative: multipliers that differ by less are the same
 REFUSED = 1e3  # times the objective: the value where the function has no answer
+ITERATIONS = 300  # of one search, at most
 STALLED = 20  # iterations that hardly make the best point better: a search ends
 LITTLE = 1e-5  # of the objective, scaled: a smaller gain is hardly one
 OUT_OF_STEPS = 9  # status of SLSQP at the largest number of iterations: its last point was only tried
@@ -98,7 +99,7 @@ def minimise_constrained(
     lower: Vector,
     upper: Vector,
     *,
-    max_iterations: int = 300,
+    max_iterations: int = ITERATIONS,
 ) -> LocalMinimum:
     """Search from one start with SLSQP, which creeps along a limit that bends with the objective: there it is stopped.
 

@@ -38,8 +38,6 @@ class DesignOptions:
 
     Args:
         starts: number of points within the bounds that are tried; searches begin at the best four and at the start.
-        seed: of these points.
-        max_iterations: of each search.
         nodes: of the solver.
         worst: optimise the worst load case, not the weighted mean of all.
         offsets_outside_wall: allow tendons in the bore or outside the body.
@@ -49,14 +47,12 @@ class DesignOptions:
     """
 
     starts: int = 1
-    seed: int = 0
-    max_iterations: int = 300
     nodes: int = 16
     worst: bool = False
     offsets_outside_wall: bool = False
 
     def __post_init__(self):
-        smallest = {"starts": 1, "seed": 0, "max_iterations": 1, "nodes": 4}
+        smallest = {"starts": 1, "nodes": 4}
         for option in fields(self):
             name, value = option.name, getattr(self, option.name)
             if isinstance(option.default, bool):
@@ -111,8 +107,7 @@ def design(
         problem = problem_of(body, objectives, free, bounds or {}, constraints, cases, options)
         if found:  # one scale for all, so that they can be compared
             problem = replace(problem, terms=found[0][1].terms)
-        starts = starts_of(problem, options.starts, options.seed)
-        found.append((chosen, problem, search(problem, starts, options.max_iterations)))
+        found.append((chosen, problem, search(problem, starts_of(problem, options.starts))))
     chosen, problem, best = min(found, key=lambda each: each[2].rank)
     tried = tuple((each, displayed(problem, result.value)) for each, _, result in found) if choices else ()
     return design_of(best, manipulator, tried, chosen)

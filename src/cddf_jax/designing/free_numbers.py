@@ -123,7 +123,8 @@ def _bounds_of(group: str, value: float, bounds: Bounds) -> tuple[float, float]:
     try:
         lower, upper = (float(x) for x in bounds[group])
     except (TypeError, ValueError):
-        raise InputError(f"design: the bounds of {group!r} must be (lower, upper), got {bounds[group]!r}") from None
+        got = np.asarray(bounds[group]).tolist()
+        raise InputError(f"design: the bounds of {group!r} must be (lower, upper), got {got!r}") from None
     if not (np.isfinite(lower) and np.isfinite(upper) and lower < upper):
         raise InputError(f"design: the bounds of {group!r} must be finite and increase, got {lower:g} and {upper:g}")
     if not lower <= value <= upper:

@@ -101,7 +101,7 @@ class LoadCase(eqx.Module):
             raise InputError(f"design: the base tension of {own}, {at:g} N, {inside}")
 
 
-def uncertain_cases(case: LoadCase, fit: "Fit", num: int = 16, seed: int = 0) -> tuple[LoadCase, ...]:
+def uncertain_cases(case: LoadCase, fit: "Fit", num: int = 16) -> tuple[LoadCase, ...]:
     """The case with bodies drawn from the uncertainty of a fit: log-normal about its estimate.
 
     Sobol points through the normal quantile of the logarithms, so that a modulus stays positive. Mean and covariance of
@@ -111,7 +111,6 @@ def uncertain_cases(case: LoadCase, fit: "Fit", num: int = 16, seed: int = 0) ->
         case: how the body is used.
         fit: its parameters that are numbers of the body must each be identified.
         num: how many bodies, a power of 2.
-        seed: of the points.
 
     Raises:
         InputError: for a fit that does not determine each of these parameters.
@@ -129,7 +128,7 @@ def uncertain_cases(case: LoadCase, fit: "Fit", num: int = 16, seed: int = 0) ->
     logarithmic = np.log1p(fit.covariance[np.ix_(places, places)] / np.outer(centre, centre))
     from scipy.stats import qmc
 
-    points = ndtri(qmc.Sobol(len(own), rng=seed).random(num))
+    points = ndtri(qmc.Sobol(len(own), rng=0).random(num))
     values = centre * np.exp(points @ np.linalg.cholesky(logarithmic).T - np.diag(logarithmic) / 2)
     label, weight = case.name or "case", float(case.weight) / num
     drawn = [{**case.numbers, **dict(zip(own, row, strict=True))} for row in values]

@@ -10,13 +10,13 @@ import numpy as np
 from ..errors import InputError
 from ..files.writing import markdown_table
 from ..robot.manipulator import Manipulator
-from ..units import Dimension, shown
+from ..units import shown
 from .design import Aim, DesignOptions, problem_of, weighted
 from .free_numbers import Bounds, number_in_words
 from .load_cases import LoadCase
 from .objectives import Limit
 from .problem import DesignProblem
-from .results import Design, design_of
+from .results import Achieved, Design, design_of
 from .search import SearchResult, search, starts_of
 
 SECOND = 1e-4  # weight of the other objective, so that it is not larger than it needs to be
@@ -27,10 +27,6 @@ SAME = 1e-3  # relative: ends that differ by less in both objectives are one bod
 class ParetoFront:
     """Designs from the best in the first objective to the best in the second, SI units."""
 
-    names: tuple[str, str]  # of the objectives
-    dimensions: tuple[Dimension, Dimension]  # of their values
-    values: np.ndarray  # (points, 2) of the two objectives; NaN where no body was found
-    start: tuple[float, float]  # of the body at the start
     designs: tuple[Design, ...]  # one for each point
     remarks: tuple[str, ...]  # further notes in words
 
@@ -39,11 +35,24 @@ class ParetoFront:
         """Whether every point was found."""
         return all(design.success for design in self.designs)
 
+    @property
+    def objectives(self) -> tuple[Achieved, ...]:
+        """The two objectives at the start and at the best of the first."""
+        return self.designs[0].objectives
+
+    @property
+    def values(self) -> np.ndarray:
+        """(points, 2) of the two objectives; NaN where no body was found."""
+        return np.array(
+            [[each.end if found.feasible else np.nan for each in found.objectives] for found in self.designs]
+        )
+
     def __str__(self) -> str:
         """The front as Markdown."""
-        head = [f"# Trade-off: {self.names[0]} against {self.names[1]}", ""]
+        names = [each.name for each in self.objectives]
+        head = [f"# Trade-off: {names[0]} against {names[1]}", ""]
         head += [f"- {remark}" for remark in self.remarks] + ([""] if self.remarks else [])
-        numbers = [*self.names, *self.designs[0].free]
+        numbers = [*names, *self.designs[0].free]
         rows = []
         for found in self.designs:
             pair = [shown(each.end, each.dimension) for each in found.objectives]
@@ -53,8 +62,8 @@ class ParetoFront:
     def as_dict(self) -> dict[str, object]:
         """The front for JSON, SI units."""
         return {
-            "objectives": list(self.names),
-            "start": list(self.start),
+            "objectives": [each.name for each in self.objectives],
+            "start": [each.start for each in self.objectives],
             "values": self.values,
             "success": self.success,
             "remarks": list(self.remarks),
@@ -97,16 +106,20 @@ def pareto_front(
         raise InputError(f"pareto_front: starts must be 1, got {options.starts}; a front has one start")
     pairs = weighted([(1.0, aim) for aim in objectives])
     problem = problem_of(manipulator, pairs, free, bounds or {}, constraints, cases, options)
-    found = _searched(problem, num, options.max_iterations)
-    return _front(problem, found, manipulator, num)
+    designs = tuple(design_of(found, manipulator) for found in _searched(problem, num))
+    missing = sum(not design.feasible for design in designs)
+    remarks = (f"{missing} of {len(designs)} points were not found",) if missing else ()
+    if len(designs) < num and not missing:
+        remarks = ("one body is best in both objectives: they do not conflict",)
+    return ParetoFront(designs, remarks)
 
 
-def _searched(problem: DesignProblem, num: int, max_iterations: int) -> list[SearchResult]:
+def _searched(problem: DesignProblem, num: int) -> list[SearchResult]:
     """Search results from one end of the front to the other; a gap beside an infeasible result is not divided."""
 
     def best(small: int, level: float, *starts: np.ndarray) -> SearchResult:
         """Make one objective small under a level of the other."""
-        return search(_at(problem, small, level), starts, max_iterations)
+        return search(_at(problem, small, level), starts)
 
     starts = starts_of(problem)
     first = best(0, np.inf, *starts)
@@ -130,22 +143,3 @@ def _at(problem: DesignProblem, small: int, level: float) -> DesignProblem:
     weights, levels = jnp.full(2, SECOND).at[small].set(1.0), jnp.full(2, jnp.inf).at[1 - small].set(level)
     terms = zip(problem.terms, weights, levels, strict=True)
     return replace(problem, terms=tuple(replace(term, weight=own, most=most) for term, own, most in terms))
-
-
-def _front(problem: DesignProblem, found: list[SearchResult], start: Manipulator, num: int) -> ParetoFront:
-    first, second = (term.objective for term in problem.terms)
-    designs = tuple(design_of(result, start) for result in found)
-    values = [[each.end if design.feasible else np.nan for each in design.objectives] for design in designs]
-    began = designs[0].objectives
-    missing = sum(not design.feasible for design in designs)
-    remarks = [f"{missing} of {len(found)} points were not found"] if missing else []
-    if len(found) < num and not missing:
-        remarks = ["one body is best in both objectives: they do not conflict"]
-    return ParetoFront(
-        names=(str(first), str(second)),
-        dimensions=(first.dimension, second.dimension),
-        values=np.asarray(values),
-        start=(began[0].start, began[1].start),
-        designs=designs,
-        remarks=tuple(remarks),
-    )

@@ -127,7 +127,7 @@ def _foot(found: Design) -> Iterator[str]:
         )
     yield (
         f"Largest violation {found.violation:.1g} and first-order optimality {found.optimality:.1g} (scaled; "
-        f"{TOLERANCE:g} is asked for), {found.iterations} iterations in the last search."
+        f"{TOLERANCE:g} is asked for)."
     )
     if len(found.starts) > 1:
         ends = ", ".join(_objective(found, value) for value in found.starts)

@@ -83,7 +83,6 @@ class Design:
     blocking: tuple[str, ...]  # limits that contradict each other, if no body keeps all of them
     optimality: float  # first-order: largest entry of the gradient of the Lagrangian, scaled
     violation: float  # largest, scaled
-    iterations: int  # of the last search
     starts: tuple[float, ...]  # the objective reached from each start, inf if not feasible
     choices: Choices  # the objective reached with each combination of choices, inf if not feasible
     chosen: dict[str, float]  # of the choices, the best
@@ -152,7 +151,6 @@ def design_of(
         blocking=outcome.blocking,
         optimality=local.optimality.residual,
         violation=outcome.violation,
-        iterations=local.iterations,
         starts=tuple(displayed(problem, value) for value in outcome.starts),
         choices=choices,
         chosen=chosen or {},

@@ -11,6 +11,7 @@ from ..progress import each, stage
 from ..statics.status import Status
 from .constrained import (
     ACTIVE,
+    ITERATIONS,
     LITTLE,
     TOLERANCE,
     LocalMinimum,
@@ -67,9 +68,9 @@ class SearchResult(NamedTuple):
         return np.asarray(self.problem.split(self.local.point.x)[0])
 
 
-def search(problem: DesignProblem, starts: Sequence[np.ndarray], max_iterations: int) -> SearchResult:
+def search(problem: DesignProblem, starts: Sequence[np.ndarray]) -> SearchResult:
     """Searches that begin at some scaled free numbers; the first of those that end as well as the best."""
-    found = [_repeated(problem, z, max_iterations) for z in each("search from start", starts)]
+    found = [_repeated(problem, z) for z in each("search from start", starts)]
     value, violation = min(each.rank for each in found)
     best = next(
         each
@@ -79,7 +80,7 @@ def search(problem: DesignProblem, starts: Sequence[np.ndarray], max_iterations:
     return best._replace(starts=tuple(each.value for each in found))
 
 
-def starts_of(problem: DesignProblem, tried: int = 1, seed: int = 0) -> list[np.ndarray]:
+def starts_of(problem: DesignProblem, tried: int = 1) -> list[np.ndarray]:
     """The start, a point beside it if it is flat, and the best of `tried` - 1 points by objective and violation."""
     start, ranges = problem.free.scaled_start, problem.free.ranges
     first = [start, *_beside(problem, start)]
@@ -87,7 +88,7 @@ def starts_of(problem: DesignProblem, tried: int = 1, seed: int = 0) -> list[np.
         return first
     from scipy.stats import qmc
 
-    points = qmc.Sobol(ranges.size, rng=np.random.default_rng(seed)).random(2 ** int(np.ceil(np.log2(tried))))
+    points = qmc.Sobol(ranges.size, rng=0).random(2 ** int(np.ceil(np.log2(tried))))
     points = points[: tried - 1] * ranges
     there = [problem(problem.unknowns(z)) for z in each("trying start", list(points))]
     merit = [point.objective + BROKEN * point.violation if point.usable else np.inf for point in there]
@@ -106,16 +107,16 @@ def _beside(problem: DesignProblem, start: np.ndarray) -> list[np.ndarray]:
     return [moved] if np.any(flat) and problem(problem.unknowns(moved)).usable else []
 
 
-def _repeated(problem: DesignProblem, z: np.ndarray, max_iterations: int) -> SearchResult:
+def _repeated(problem: DesignProblem, z: np.ndarray) -> SearchResult:
     """The search from one start, repeated while that helps and it is not stationary, or limits are broken between.
 
     The last `WANDERING` stations are moved to where limits are broken.
     """
     x, before, looks = problem.unknowns(z), np.inf, 0
     while True:
-        local, blocking = _minimum(problem, x, max_iterations)
+        local, blocking = _minimum(problem, x)
         violation, places = broken_between(problem, local)
-        ended = local.iterations >= max_iterations or local.point.objective > before - LITTLE
+        ended = local.iterations >= ITERATIONS or local.point.objective > before - LITTLE
         done = violation <= TOLERANCE and (local.stationary or ended)
         if done or not local.feasible or looks == LOOKS:
             return SearchResult(local, problem, violation, blocking)
@@ -126,15 +127,15 @@ def _repeated(problem: DesignProblem, z: np.ndarray, max_iterations: int) -> Sea
 
 
 @stage("searching")
-def _minimum(problem: DesignProblem, x: np.ndarray, most: int) -> tuple[LocalMinimum, tuple[str, ...]]:
+def _minimum(problem: DesignProblem, x: np.ndarray) -> tuple[LocalMinimum, tuple[str, ...]]:
     """The end of one search, or of one more from the point that breaks the limits least; and limits that it breaks."""
-    local = minimise_constrained(problem, x, *problem.bounds, max_iterations=most)
+    local = minimise_constrained(problem, x, *problem.bounds)
     if local.feasible:
         return local, ()
     least = least_violation(problem, local.point.x, *problem.bounds)
     x = least.point.x[:-1]
     if least.point.objective <= TOLERANCE:
-        return minimise_constrained(problem, x, *problem.bounds, max_iterations=most), ()
+        return minimise_constrained(problem, x, *problem.bounds), ()
     point = problem(x)
     local = local._replace(point=point, optimality=optimality(point, *problem.bounds))
     return local, _blocking(problem, point, least.optimality)

@@ -47,7 +47,6 @@ def _keys() -> dict[str, dict[str, bool]]:
 
 KEYS = _keys()
 _AIMS: dict[str, type[Objective]] = {"least": Least, "most": Most, "even": Even, "near": Near}
-EXAMPLES = {"bounds": '["8 mm", "25 mm"]', "loop": '["5 N", "75 N"]'}  # of pairs
 _OPTIONS = [field.name for field in fields(DesignOptions)]
 
 
@@ -121,7 +120,7 @@ def _task(table: Table, path: Path) -> DesignTask:
 
 def _free(
     body: Manipulator, used: LoadCase, table: Table
-) -> tuple[Manipulator, dict[str, tuple[float, float]], dict[str, list[float]]]:
+) -> tuple[Manipulator, dict[str, float | np.ndarray], dict[str, float | np.ndarray]]:
     """The body with its free profiles as splines or tapers where the task says so, bounds and choices."""
     bounds, choices = {}, {}
     for name, entry in table.items():
@@ -134,12 +133,11 @@ def _free(
             if "knots" in entry or "taper" in entry:
                 body = _formed(body, name, entry)
             if "bounds" in entry:
-                bounds[name] = _pair(entry["bounds"], dimension, "bounds")
+                bounds[name] = _nested(entry["bounds"], dimension, "bounds")
             if "choices" in entry:
-                given = entry["choices"]
-                if not isinstance(given, list) or not given or len(entry) > 1:
-                    raise InputError("choices must be a list of one value or more, and nothing beside it")
-                choices[name] = [quantity(value, dimension, "choices") for value in given]
+                if len(entry) > 1:
+                    raise InputError("a number with choices has nothing beside them")
+                choices[name] = _nested(entry["choices"], dimension, "choices")
     return body, bounds, choices
 
 
@@ -147,9 +145,9 @@ def _formed(body: Manipulator, name: str, entry: Table) -> Manipulator:
     """The body with a profile as a spline through some points, or as a straight taper."""
     if ("knots" in entry) == ("taper" in entry) or entry.get("taper", True) is not True:
         raise InputError("write knots = 9 for a spline or taper = true for a straight taper")
-    length, knots = float(body.length), _whole(entry, "knots", 4)
-    if knots < 4:
-        raise InputError(f"knots must be 4 or more, got {knots}; or write taper = true")
+    length, knots = float(body.length), entry.get("knots", 4)
+    if not isinstance(knots, int) or knots < 4:
+        raise InputError(f"knots must be a whole number of 4 or more, got {knots!r}; or write taper = true")
     names = [name.replace("*", str(i)) for i in range(body.num_tendons if "*" in name else 1)]
     if not all(own.endswith(("radius", "offset", "angle")) and own in body.profiles for own in names):
         raise InputError("only outer_radius, inner_radius, tendons.0.offset and tendons.0.angle have a form")
@@ -179,7 +177,7 @@ def _case(table: Table, body: Manipulator, gravity: tuple[float, ...] | None) ->
         {name: quantity(value, dimension_of_number(name), name) for name, value in numbers.items()},
         quantity(table.get("weight", 1.0), "dimensionless", "weight"),
         str(table.get("name", "")),
-        _pair(table["loop"], "force", "loop") if "loop" in table else None,
+        _nested(table["loop"], "force", "loop") if "loop" in table else None,
     )
 
 
@@ -193,11 +191,11 @@ def _uncertain(
 
     with within("uncertain"):
         _check("uncertain", table)
-        num, seed = _whole(table, "num", 16), _whole(table, "seed", 0)
+        drawn: dict[str, Any] = {"num": table["num"]} if "num" in table else {}
         columns = {name: str(meant) for name, meant in _entries(table, "columns").items()} if "columns" in table else {}
     tables = read_tables([folder / file for file in _texts(table, "data")], columns)
     found = fit(body, tables, setting=BenchSetting(read_loads(None, None, None, mounted=gravity)))
-    every = tuple(each for case in cases for each in uncertain_cases(case, found, num, seed))
+    every = tuple(each for case in cases for each in uncertain_cases(case, found, **drawn))
     return every, tuple(line for table in tables for line in table.read_as)
 
 
@@ -214,10 +212,7 @@ def _objective(table: Table) -> tuple[float, Objective]:
         return weight, _AIMS[kind](name)
     if "value" not in table:
         raise InputError('near needs a value, as in value = ["110 mm", "50 mm"]')
-    at = table.get("at")
-    if at is not None and not isinstance(at, list):
-        raise InputError(f'at must be a list of arc lengths, as in at = ["70 mm"], got {at!r}')
-    places = None if at is None else _nested(at, "length", "at")
+    places = _nested(table["at"], "length", "at") if "at" in table else None
     return weight, Near(name, _nested(table["value"], quantity_named(name).dimension, "value"), places)
 
 
@@ -241,13 +236,6 @@ def _nested(value: object, dimension: Dimension, what: str) -> float | np.ndarra
     return np.array(items)
 
 
-def _pair(value: object, dimension: Dimension, key: str) -> tuple[float, float]:
-    if not isinstance(value, list) or len(value) != 2:
-        raise InputError(f"{key} must be two values, as in {key} = {EXAMPLES[key]}, got {value!r}")
-    low, high = (quantity(item, dimension, key) for item in value)
-    return low, high
-
-
 def _texts(table: Table, key: str) -> list[str]:
     """One text or a list of them; none where the key is missing."""
     given = table.get(key, [])
@@ -258,13 +246,6 @@ def _text(table: Table, key: str) -> str:
     value = table[key]
     if not isinstance(value, str):
         raise InputError(f"{key} must be text, got {value!r}")
-    return value
-
-
-def _whole(table: Table, key: str, default: int) -> int:
-    value = table.get(key, default)
-    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-        raise InputError(f"{key} must be a whole number, got {value!r}")
     return value
 
 

@@ -75,7 +75,7 @@ def draw_trade_off(front: ParetoFront, axes: Axes | None = None) -> Axes:
         front: of `pareto_front`.
         axes: where to draw; None for a new figure, one column wide.
     """
-    scale = [preferred(dimension) for dimension in front.dimensions]
+    scale = [preferred(each.dimension) for each in front.objectives]
     x, y = (front.values[:, k] * scale[k][0] for k in (0, 1))
     good = np.array([design.success for design in front.designs])
     with draw.axes_or_new(axes, HEIGHT) as axes:
@@ -83,10 +83,10 @@ def draw_trade_off(front: ParetoFront, axes: Axes | None = None) -> Axes:
         axes.plot(x[good], y[good], "o", color=looks.BLUE, label="designs")
         if np.any(~good & np.isfinite(x)):
             axes.plot(x[~good], y[~good], "o", color=looks.VERMILION, markerfacecolor="white", label="not stationary")
-        start = [value * factor for value, (factor, _) in zip(front.start, scale, strict=True)]
+        start = [each.start * factor for each, (factor, _) in zip(front.objectives, scale, strict=True)]
         axes.plot(*start, "s", color=looks.GREY, label="start")
-        for set_label, name, (_, unit) in zip((axes.set_xlabel, axes.set_ylabel), front.names, scale, strict=True):
-            words = re.sub("^(least|most) ", "", name).replace("_", " ").capitalize()
+        for set_label, each, (_, unit) in zip((axes.set_xlabel, axes.set_ylabel), front.objectives, scale, strict=True):
+            words = re.sub("^(least|most) ", "", each.name).replace("_", " ").capitalize()
             raised = re.sub(r"\^(-?\d+)", r"$^{\1}$", unit)  # exponents as they are set: cm^3
             set_label(f"{words} ({raised})" if unit else words)
         axes.legend(loc="lower left", frameon=False)
