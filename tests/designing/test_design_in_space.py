@@ -283,7 +283,7 @@ def test_a_winding_moves_the_tip_with_the_base():
         (
             HELIX,
             ("tendons.0.angle", "tendons.0.angle.winding"),
-            "winding' and 'tendons.0.angle.tip' are both free; leave one",
+            "tendons.0.angle.tip follows from base and winding; leave out one of tip and winding",
         ),
     ],
 )

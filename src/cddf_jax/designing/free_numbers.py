@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from ..errors import InputError
 from ..numerics.given_numbers import check_numbers
 from ..robot.manipulator import Manipulator
-from ..statics.named_numbers import Case, stem_and_tendon, tip_of_winding, unit_of_name
+from ..statics.named_numbers import Case, stem_and_tendon, unit_of_name
 from ..units import DIMENSION_OF, Dimension, shown
 from .load_cases import LoadCase
 
@@ -92,8 +92,6 @@ def free_numbers_of(case: Case, free: Sequence[str], bounds: Bounds) -> FreeNumb
     for name in flat:
         if flat.count(name) > 1:
             raise InputError(f"design: {name!r} is free twice; leave one out")
-        if tip_of_winding(name) in flat:
-            raise InputError(f"design: {name!r} and {tip_of_winding(name)!r} are both free; leave one out")
     names = tuple(tied for tied, *_ in rows)
     start, low, high = np.transpose([numbers for _, *numbers in rows])
     origin = (start == 0) | [

@@ -27,8 +27,7 @@ SAME = 1e-3  # relative: ends that differ by less in both objectives are one bod
 class ParetoFront:
     """Designs from the best in the first objective to the best in the second, SI units."""
 
-    designs: tuple[Design, ...]  # one for each point
-    remarks: tuple[str, ...]  # further notes in words
+    designs: tuple[Design, ...]  # one for each point; two where one body is best in both objectives
 
     @property
     def success(self) -> bool:
@@ -51,7 +50,6 @@ class ParetoFront:
         """The front as Markdown."""
         names = [each.name for each in self.objectives]
         head = [f"# Trade-off: {names[0]} against {names[1]}", ""]
-        head += [f"- {remark}" for remark in self.remarks] + ([""] if self.remarks else [])
         numbers = [*names, *self.designs[0].free]
         rows = []
         for found in self.designs:
@@ -66,7 +64,6 @@ class ParetoFront:
             "start": [each.start for each in self.objectives],
             "values": self.values,
             "success": self.success,
-            "remarks": list(self.remarks),
             "result": "successful" if self.success else "some points of the front were not found",
             "designs": [{"result": found.result, "value": found.value} for found in self.designs],
         }
@@ -106,12 +103,7 @@ def pareto_front(
         raise InputError(f"pareto_front: starts must be 1, got {options.starts}; a front has one start")
     pairs = weighted([(1.0, aim) for aim in objectives])
     problem = problem_of(manipulator, pairs, free, bounds or {}, constraints, cases, options)
-    designs = tuple(design_of(found, manipulator) for found in _searched(problem, num))
-    missing = sum(not design.feasible for design in designs)
-    remarks = (f"{missing} of {len(designs)} points were not found",) if missing else ()
-    if len(designs) < num and not missing:
-        remarks = ("one body is best in both objectives: they do not conflict",)
-    return ParetoFront(designs, remarks)
+    return ParetoFront(tuple(design_of(found, manipulator) for found in _searched(problem, num)))
 
 
 def _searched(problem: DesignProblem, num: int) -> list[SearchResult]:
