@@ -15,8 +15,8 @@ from cddf_jax.designing.constrained import (
     TOLERANCE,
     Point,
     least_violation,
+    local_minimum,
     minimise_constrained,
-    optimality,
 )
 
 PRINTED = 1e-6  # the book prints seven to nine digits
@@ -68,7 +68,7 @@ def test_hock_schittkowski_71_with_its_multipliers():
     assert found.point.objective == pytest.approx(17.0140173, rel=PRINTED / 100)
     assert found.point.x == pytest.approx(best, rel=PRINTED)
     assert found.feasible
-    assert found.optimality.residual <= TOLERANCE
+    assert found.residual <= TOLERANCE
     # stationary in x2 and x3, which are on no bound: two equations for the multipliers of product and sphere
     x1, x2, x3, x4 = best
     product, sphere = np.linalg.solve(
@@ -76,9 +76,9 @@ def test_hock_schittkowski_71_with_its_multipliers():
         [x1 * x4, x1 * x4 + 1],
     )
     bound = x4 * (2 * x1 + x2 + x3) - product * x2 * x3 * x4 - sphere * 2 * x1
-    assert found.optimality.limits == pytest.approx([product, sphere], rel=MULTIPLIERS)
-    assert found.optimality.lower == pytest.approx([bound, 0, 0, 0], rel=MULTIPLIERS)
-    assert not np.any(found.optimality.upper)
+    assert found.limits == pytest.approx([product, sphere], rel=MULTIPLIERS)
+    assert found.lower == pytest.approx([bound, 0, 0, 0], rel=MULTIPLIERS)
+    assert not np.any(found.upper)
 
 
 def rosen_suzuki() -> Written:
@@ -98,8 +98,8 @@ def test_rosen_suzuki_with_its_multipliers():
     found = minimise_constrained(rosen_suzuki(), np.zeros(4), *on_both_sides(4))
     assert found.point.objective == pytest.approx(-44.0, rel=1e-9)
     assert found.point.x == pytest.approx([0, 1, 2, -1], abs=PRINTED)
-    assert found.optimality.limits == pytest.approx([1, 0, 2], abs=MULTIPLIERS)
-    assert found.optimality.residual <= TOLERANCE
+    assert found.limits == pytest.approx([1, 0, 2], abs=MULTIPLIERS)
+    assert found.residual <= TOLERANCE
     short = minimise_constrained(rosen_suzuki(), np.zeros(4), *on_both_sides(4), max_iterations=2)
     assert short.iterations == 2
     assert not short.stationary
@@ -108,11 +108,11 @@ def test_rosen_suzuki_with_its_multipliers():
 def test_the_multipliers_of_a_known_optimum():
     """Those of HS 43 at the point itself, without a search; and another point is not taken for an optimum."""
     problem, nowhere = rosen_suzuki(), on_both_sides(4)
-    known = optimality(problem(np.array([0.0, 1.0, 2.0, -1.0])), *nowhere)
+    known = local_minimum(problem(np.array([0.0, 1.0, 2.0, -1.0])), *nowhere)
     assert known.limits == pytest.approx([1, 0, 2], abs=1e-12)
     assert known.residual < 1e-12
     # at the origin no limit is used up, so the residual is the gradient (-5, -5, -21, 7) over its largest entry
-    assert optimality(problem(np.zeros(4)), *nowhere).residual == pytest.approx(1.0, rel=1e-12)
+    assert local_minimum(problem(np.zeros(4)), *nowhere).residual == pytest.approx(1.0, rel=1e-12)
 
 
 # --- where it is hard ----------------------------------------------------------------------------
@@ -153,8 +153,8 @@ def test_the_least_violation_of_a_line_and_a_disc():
     found = least_violation(crossed(), np.array([3.0, 0.0]), *nowhere)
     assert found.point.objective == pytest.approx(least, rel=1e-7)
     assert found.point.x == pytest.approx([a, a, least], abs=1e-5)
-    assert found.optimality.limits == pytest.approx([2 * a / (1 + 2 * a), 1 / (1 + 2 * a)], rel=1e-5)
-    assert found.optimality.residual <= TOLERANCE
+    assert found.limits == pytest.approx([2 * a / (1 + 2 * a), 1 / (1 + 2 * a)], rel=1e-5)
+    assert found.residual <= TOLERANCE
     stuck = minimise_constrained(crossed(), np.array([3.0, 0.0]), *nowhere)
     assert not stuck.feasible
     assert stuck.point.violation >= least - 1e-9  # no point breaks them less
@@ -166,15 +166,15 @@ def test_the_least_violation_of_an_equation_beyond_the_bounds():
     found = least_violation(problem, np.array([0.2, 0.7]), *on_both_sides(2, 0.0, 1.0))
     assert found.point.objective == pytest.approx(1.0, rel=1e-9)
     assert found.point.x == pytest.approx([1.0, 1.0, 1.0], abs=1e-8)
-    assert found.optimality.limits == pytest.approx([1.0, 0.0], abs=1e-8)
-    assert found.optimality.upper[:2] == pytest.approx([1.0, 1.0], abs=1e-8)
+    assert found.limits == pytest.approx([1.0, 0.0], abs=1e-8)
+    assert found.upper[:2] == pytest.approx([1.0, 1.0], abs=1e-8)
 
 
 def test_a_bound_and_a_limit_at_one_point_share_their_multiplier():
     """The least x with x >= 0 twice, as a bound and as a limit: any two multipliers with the sum 1 meet the conditions,
     so that only relaxing both has a price. The term 2 y with y >= 0 has one bound, with the multiplier 2."""
     problem = Written(lambda x: x[0] + 2 * x[1], lambda x: (x[0],))
-    held = optimality(problem(np.zeros(2)), *on_both_sides(2, 0.0, np.inf))
+    held = local_minimum(problem(np.zeros(2)), *on_both_sides(2, 0.0, np.inf))
     assert held.residual < TOLERANCE
     first, second = np.eye(2)
     assert np.isnan(held.price(lower=first))

@@ -41,9 +41,11 @@ class Point(NamedTuple):
         return float(np.max(np.where(self.equal, np.abs(self.margins), -self.margins), initial=0.0))
 
 
-class Optimality(NamedTuple):
-    """The first-order conditions of Karush, Kuhn and Tucker at a point, with the multipliers that satisfy them best."""
+class LocalMinimum(NamedTuple):
+    """Where a search ended, with the multipliers that satisfy the conditions of Karush, Kuhn and Tucker best there."""
 
+    point: Point
+    iterations: int
     residual: float  # largest entry of the Lagrangian's gradient, over that of the objective's or 1
     limits: Vector  # multipliers, zero where there is a margin
     lower: Vector  # of the bounds
@@ -51,6 +53,14 @@ class Optimality(NamedTuple):
     active: np.ndarray  # indices of the active ones among limits, lower bounds, upper bounds
     slopes: Matrix  # of the active ones
     least: Vector  # of the active multipliers: 0, or of an equation minus infinity
+
+    @property
+    def feasible(self) -> bool:
+        return self.point.violation <= TOLERANCE
+
+    @property
+    def stationary(self) -> bool:
+        return self.residual <= TOLERANCE
 
     def price(self, limits: ArrayLike = 0.0, *, lower: ArrayLike = 0.0, upper: ArrayLike = 0.0) -> float:
         """A weighted sum of multipliers: how much the objective becomes smaller if limits are relaxed by the weights.
@@ -72,22 +82,6 @@ class Optimality(NamedTuple):
         if least.status != 0 or most.status != 0:
             return np.nan
         return least.fun if -most.fun - least.fun <= UNIQUE * max(1.0, abs(least.fun), abs(most.fun)) else np.nan
-
-
-class LocalMinimum(NamedTuple):
-    """Where a search ended."""
-
-    point: Point
-    optimality: Optimality
-    iterations: int
-
-    @property
-    def feasible(self) -> bool:
-        return self.point.violation <= TOLERANCE
-
-    @property
-    def stationary(self) -> bool:
-        return self.optimality.residual <= TOLERANCE
 
 
 VectorFunction = Callable[[Vector], Point]  # an objective and its limits, with derivatives
@@ -129,7 +123,7 @@ def minimise_constrained(
         last, most = seen(np.clip(found.x, lower, upper)), max(TOLERANCE, seen.best.violation)
         if found.status != OUT_OF_STEPS and last.usable and last.violation <= most:
             seen.best = last
-    return LocalMinimum(seen.best, optimality(seen.best, lower, upper), seen.iterations)
+    return local_minimum(seen.best, lower, upper, seen.iterations)
 
 
 class _StalledError(Exception):
@@ -171,7 +165,7 @@ def _rank(point: Point) -> tuple[float, float]:
     return max(point.violation, TOLERANCE), point.objective
 
 
-def optimality(point: Point, lower: Vector, upper: Vector) -> Optimality:
+def local_minimum(point: Point, lower: Vector, upper: Vector, iterations: int = 0) -> LocalMinimum:
     """The multipliers that make the gradient of the Lagrangian smallest, and the size of that gradient."""
     unit, count = np.eye(point.x.size), point.margins.size
     slopes = np.concatenate([point.slopes, unit, -unit])
@@ -186,7 +180,7 @@ def optimality(point: Point, lower: Vector, upper: Vector) -> Optimality:
     left = float(np.max(np.abs(point.gradient - multipliers @ slopes)))
     residual = left / max(1.0, float(np.max(np.abs(point.gradient))))
     limits, *bounds = np.split(multipliers, [count, count + point.x.size])
-    return Optimality(residual, limits, bounds[0], bounds[1], active, slopes[active], least)
+    return LocalMinimum(point, iterations, residual, limits, bounds[0], bounds[1], active, slopes[active], least)
 
 
 def least_violation(function: VectorFunction, start: Vector, lower: Vector, upper: Vector) -> LocalMinimum:

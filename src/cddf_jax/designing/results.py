@@ -16,7 +16,7 @@ from ..statics.equilibrium import Equilibrium
 from ..statics.named_numbers import Case, tip_of_winding
 from ..statics.status import Status, words_of
 from ..units import Dimension
-from .constrained import ACTIVE, TOLERANCE, LocalMinimum
+from .constrained import ACTIVE, TOLERANCE
 from .free_numbers import PLACE
 from .load_cases import LoadCase, case_numbers
 from .problem import DesignProblem, Values, pieces_of
@@ -105,10 +105,13 @@ class Design:
         """
         if not self.feasible:
             return {}
-        problem = self.outcome.problem
-        unit = unit_of_objective(problem)
-        slopes = sensitivities(problem, self.outcome.local).items()
-        return {name if case is None else f"case {case + 1}: {name}": unit * slope for (case, name), slope in slopes}
+        problem, local = self.outcome.problem, self.outcome.local
+        fixed, unit = fixed_numbers(problem), unit_of_objective(problem)
+        numbers = jnp.asarray(list(fixed.values()))
+        gradient, slopes = map(np.asarray, _slopes(problem, jnp.asarray(local.point.x), tuple(fixed), numbers))
+        labels = [name if case is None else f"case {case + 1}: {name}" for case, name in fixed]
+        columns = zip(labels, gradient, slopes.T, strict=True)
+        return {label: unit * (float(own) - local.price(limits)) for label, own, limits in columns}
 
     @cached_property
     def equilibria(self) -> tuple[Equilibrium, ...]:
@@ -149,7 +152,7 @@ def design_of(
         free=free_numbers(outcome),
         limits=limit_reports(outcome, float(body.length)),
         blocking=outcome.blocking,
-        optimality=local.optimality.residual,
+        optimality=local.residual,
         violation=outcome.violation,
         starts=tuple(displayed(problem, value) for value in outcome.starts),
         choices=choices,
@@ -170,7 +173,7 @@ def design_result(outcome: SearchResult) -> str:
     if not outcome.feasible:
         return "infeasible"
     if not local.stationary:
-        return f"not stationary: the first-order optimality is {local.optimality.residual:.2g} and not {TOLERANCE:g}"
+        return f"not stationary: the first-order optimality is {local.residual:.2g} and not {TOLERANCE:g}"
     if undetermined(outcome.problem, outcome.z):
         return "undetermined: no free number changes the objective"
     return "successful"
@@ -216,7 +219,7 @@ def free_numbers(outcome: SearchResult) -> dict[str, FreeNumber]:
         at_lower, at_upper = abs(value - lower) <= ACTIVE * size, abs(value - upper) <= ACTIVE * size
         status = "at lower bound" if at_lower else "at upper bound" if at_upper else "inside"
         own = unit / size * (np.arange(local.point.x.size) == i)
-        worth = local.optimality.price(lower=own, upper=own) if local.feasible else np.nan
+        worth = local.price(lower=own, upper=own) if local.feasible else np.nan
         found[free.label(i)] = FreeNumber(start, value, lower, upper, status, worth)
     return found
 
@@ -239,7 +242,7 @@ def limit_reports(outcome: SearchResult, length: float) -> tuple[LimitReport, ..
                 reached=float(bound + each[:, k][at] * (-1 if side == "most" else 1)),
                 margin=margin,
                 active=bool(side == "equal" or margin <= ACTIVE),
-                multiplier=local.optimality.price(weights) if local.feasible else np.nan,
+                multiplier=local.price(weights) if local.feasible else np.nan,
                 arc_length=float(problem.stations[at[-1]]) * length if limit.known.along else np.nan,
                 case=case if limit.known.bent else "",
                 implied=kept.implied,
@@ -287,15 +290,3 @@ def with_fixed(problem: DesignProblem, numbers: Mapping[Fixed, Array]) -> Design
 def _slopes(problem: DesignProblem, x: Array, fixed: tuple[Fixed, ...], numbers: Array) -> Values:
     """The derivatives of objective and margins by fixed numbers, on the last axis."""
     return jax.jacfwd(lambda numbers: with_fixed(problem, dict(zip(fixed, numbers, strict=True))).values(x)[0])(numbers)
-
-
-def sensitivities(problem: DesignProblem, local: LocalMinimum) -> dict[Fixed, float]:
-    """Derivatives of the optimiser's objective at the optimum, by the envelope theorem: those of the Lagrangian.
-
-    NaN if several sets of multipliers meet the conditions: the objective has a kink there.
-    """
-    numbers = fixed_numbers(problem)
-    values = jnp.asarray(list(numbers.values()))
-    slopes = jax.tree.map(np.asarray, _slopes(problem, jnp.asarray(local.point.x), tuple(numbers), values))
-    columns = zip(numbers, slopes[0], slopes[1].T, strict=True)
-    return {name: float(own) - local.optimality.price(limits) for name, own, limits in columns}

@@ -15,11 +15,10 @@ from .constrained import (
     LITTLE,
     TOLERANCE,
     LocalMinimum,
-    Optimality,
     Point,
     least_violation,
+    local_minimum,
     minimise_constrained,
-    optimality,
 )
 from .problem import USABLE, DesignEvaluation, DesignProblem, pieces_of
 
@@ -136,12 +135,11 @@ def _minimum(problem: DesignProblem, x: np.ndarray) -> tuple[LocalMinimum, tuple
     x = least.point.x[:-1]
     if least.point.objective <= TOLERANCE:
         return minimise_constrained(problem, x, *problem.bounds), ()
-    point = problem(x)
-    local = local._replace(point=point, optimality=optimality(point, *problem.bounds))
-    return local, _blocking(problem, point, least.optimality)
+    local = local_minimum(problem(x), *problem.bounds, local.iterations)
+    return local, _blocking(problem, local.point, least)
 
 
-def _blocking(problem: DesignProblem, point: Point, least: Optimality) -> tuple[str, ...]:
+def _blocking(problem: DesignProblem, point: Point, least: LocalMinimum) -> tuple[str, ...]:
     """Limits and bounds with multipliers that are not zero, at the point that breaks them least."""
     prices, from_below = np.split(least.limits.copy(), [point.margins.size])
     prices[point.equal] += from_below
