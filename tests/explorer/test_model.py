@@ -114,7 +114,7 @@ def test_rows_that_no_curve_holds_are_solved_as_they_were_measured():
 
 @pytest.mark.slow
 def test_rows_with_a_weight_on_the_body_are_solved_with_it():
-    """As `solve` has them with a point load; the page says that no slider hangs it there."""
+    """As `solve` has them with a point load."""
     pulls, weights = [20.0, 40.0], [0.0, -1.0]
     table = cddf.Measurements.from_columns(
         "bench", base_tension=pulls, tip_angle=[0.2, 0.4], **{"force_y@60mm": weights}
@@ -124,8 +124,6 @@ def test_rows_with_a_weight_on_the_body_are_solved_with_it():
     loads = [cddf.Loads(points=[cddf.PointLoad(0.06, (0.0, weight))]) for weight in weights]
     expected = [cddf.solve(explored.manipulator, *row).tip_angle for row in zip(pulls, loads, strict=True)]
     np.testing.assert_allclose(model["tip_angle"], expected, rtol=1e-9)
-    (note,) = explored.notes
-    assert note == "bench: the crosses hold with the forces at 60mm of the rows; no slider sets these forces"
 
 
 def test_data_of_two_tendons_lie_over_their_own_tensions():

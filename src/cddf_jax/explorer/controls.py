@@ -1,15 +1,17 @@
 """The numbers that can be changed: their names, their ranges, and their units as shown."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple, SupportsFloat
 
 import numpy as np
+from jaxtyping import ArrayLike
 
 from ..identification.parameters import starting_value, stiffness_parameter
 from ..measurements.table import Measurements
 from ..numerics.arrays import evaluated
 from ..quantities import QUANTITIES, Quantity
+from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..statics.named_numbers import of_tendon
 from ..units import round_number
@@ -95,7 +97,6 @@ def _loads(body: Manipulator, s: np.ndarray, gravity: Sequence[float]) -> list[C
         Control(name, start.get(name, 0.0), -most[kind], most[kind], which=f" {axis}".rstrip())
         for kind, components in load_components(body).items()
         for name, axis in components.items()
-        if kind != "gravity" or body.has_mass
     ]
 
 
@@ -106,9 +107,18 @@ def tensions_and_loads(controls: Sequence[Control]) -> tuple[list[Control], list
 
 
 def load_components(body: Manipulator) -> dict[str, dict[str, str]]:
-    """Names and axes of the components of each load; a moment in the plane has one and no axis."""
-    found = {kind: {f"{kind}.{i}": axis for i, axis in enumerate("XYZ"[: body.components])} for kind in LOADS}
+    """Names and axes of the components of each load that can act; a moment in the plane has one and no axis."""
+    kinds = [kind for kind in LOADS if kind != "gravity" or body.has_mass]
+    found = {kind: {f"{kind}.{i}": axis for i, axis in enumerate("XYZ"[: body.components])} for kind in kinds}
     return found if body.in_space else found | {"tip_moment": {"tip_moment": ""}}
+
+
+def loads_of(body: Manipulator, numbers: Mapping[str, ArrayLike]) -> Loads | None:
+    """Loads from their components by name, SI, each a number or a path; None if all are zero."""
+    given = {kind: np.stack([numbers[name] for name in names], -1) for kind, names in load_components(body).items()}
+    if not any(map(np.any, given.values())):
+        return None
+    return Loads(**(given if body.in_space else given | {"tip_moment": given["tip_moment"][..., 0]}))
 
 
 # --- units -----------------------------------------------------------------------------------------

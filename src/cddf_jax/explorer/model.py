@@ -17,7 +17,6 @@ from ..files.manipulator_file import manipulator_text
 from ..identification.bench import Bench, experiment_of
 from ..identification.course import course_of, how_followed, is_driven_by_length, paths_of
 from ..identification.parameters import BenchSetting
-from ..measurements.forces import forces_of
 from ..measurements.readings import set_by
 from ..measurements.table import Measurements
 from ..mechanics.directions import as_directions
@@ -32,7 +31,7 @@ from ..statics.equilibrium_text import result_in_words, wall_remarks
 from ..statics.named_numbers import Case, of_tendon
 from ..statics.solve import solve
 from ..statics.status import Status
-from .controls import FITTED, RADII, Control, controls_of, in_si, load_components, tensions_and_loads
+from .controls import FITTED, RADII, Control, controls_of, in_si, loads_of
 
 if TYPE_CHECKING:
     from ..identification.fit import Fit
@@ -147,17 +146,8 @@ class Exploration:
             base, tip = (number[name] for name in RADII)
             wall = tapered(body.outer_radius, base, tip, body.length)
             body = replace(body, outer_radius=wall).validate(offsets_outside_wall=self.offsets_outside_wall)
-        loaded = any(number[control.name] for control in tensions_and_loads(self.controls)[1])
-        loads = self.loads(settings.numbers) if loaded else None
         pulls = np.array([number[of_tendon("base_tension", i)] for i in range(body.num_tendons)])
-        return Case(body, pulls, loads, as_directions(settings.direction))
-
-    def loads(self, numbers: Mapping[str, float]) -> Loads:
-        """The loads among the numbers of the controls."""
-        number = {c.name: in_si(numbers[c.name], c.quantity) for c in tensions_and_loads(self.controls)[1]}
-        components = load_components(self.manipulator)
-        given = {kind: np.array([number.get(name, 0.0) for name in names]) for kind, names in components.items()}
-        return Loads(**{kind: values if values.size > 1 else values[0] for kind, values in given.items()})
+        return Case(body, pulls, loads_of(body, number), as_directions(settings.direction))
 
     # --- answers ---------------------------------------------------------------------------------
 
@@ -202,14 +192,7 @@ class Exploration:
         read_as = [line for table in self.tables for line in table.read_as]
         beside = "driven by displacement, and the tip is drawn over base tensions; explore it alone to see it"
         driven = self.tables if self.over == "base_tension" else ()
-        not_drawn = [f"{table.name}: {beside}" for table in driven if is_driven_by_length(table)]
-        places = {table.name: forces_of(table.columns, len(table))[0] for table in self.tables}
-        hung = [
-            f"{name}: the crosses hold with the forces at {', '.join(own)} of the rows; no slider sets these forces"
-            for name, own in places.items()
-            if own
-        ]
-        return read_as + not_drawn + hung
+        return read_as + [f"{table.name}: {beside}" for table in driven if is_driven_by_length(table)]
 
     def fit(self, kinematics: Kinematics) -> "Fit":
         """Friction and modulus from the tables, with the manipulator of the file, on which they were measured.

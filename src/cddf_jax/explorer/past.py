@@ -11,7 +11,7 @@ from ..history.trace import trace
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..statics.status import Status
-from .controls import in_si, load_components, tensions_and_loads
+from .controls import in_si, load_components, loads_of, tensions_and_loads
 from .model import Exploration, Settings
 
 NUM_MOVES = 20  # that are remembered
@@ -71,22 +71,12 @@ def loop_of(body: Manipulator, moves: Moves, tendon: int, arc_length: np.ndarray
     ends = np.array([start] * (NUM_MOVES + 1 - len(moves)) + list(moves))
     path = np.concatenate([ends[:1], *(np.linspace(*leg, NUM_POINTS + 1)[1:] for leg in pairwise(ends))])
     tension, acting = np.split(path, [body.num_tendons], axis=1)
-    loads = _loads(body, acting) if np.any(acting) else None
+    names = [name for components in load_components(body).values() for name in components]
+    loads = loads_of(body, dict(zip(names, acting.T, strict=True)))
     *of_tendons, angle, error, status, position = map(np.asarray, _along(body, tension, loads, arc_length))
     pull, tip, pulled_in, front = (x.reshape(len(path), -1)[:, tendon] for x in (tension, *of_tendons))
     since = slice(-NUM_POINTS * (len(moves) - 1) - 1, None)
     return Loop(pull[since], tip[since], pulled_in[since], front[-1], angle[since], error, status, position)
-
-
-def _loads(body: Manipulator, acting: np.ndarray) -> Loads:
-    """The loads along a path from their components as the controls have them; a body without mass has no gravity."""
-    given = {}
-    for kind, components in load_components(body).items():
-        if kind == "gravity" and not body.has_mass:
-            continue
-        own, acting = np.split(acting, [len(components)], axis=1)
-        given[kind] = own if "." in next(iter(components)) else own[:, 0]
-    return Loads(**given)
 
 
 @eqx.filter_jit
