@@ -119,8 +119,7 @@ def identification():
 
 def designing():
     free, bounds = ("outer_radius.tip",), {"outer_radius.tip": (0.012, 0.016)}
-    at = {"cases": cddf.LoadCase(20.0), "constraints": (cddf.Limit("wall_thickness", least=2e-3),)}
-    at |= {"options": cddf.DesignOptions(nodes=8)}
+    at = {"cases": cddf.LoadCase(20.0), "constraints": (cddf.Limit("wall_thickness", least=2e-3),), "nodes": 8}
     aims = [cddf.Least("mass"), cddf.Most("tip_angle"), cddf.Even("curvature"), cddf.Near("tip_angle", 0.4)]
     cddf.design(robot, [(1.0, aim) for aim in aims], free, bounds, **at)
     cddf.LoadCase(20.0, loop=(5.0, 40.0))

@@ -1,7 +1,7 @@
 """The public names of cddf_jax: each one once, where it is defined."""
 
 from .application import keep_programs as keep_programs
-from .designing.design import DesignOptions as DesignOptions, design as design
+from .designing.design import design as design
 from .designing.load_cases import LoadCase as LoadCase, uncertain_cases as uncertain_cases
 from .designing.objectives import Even as Even, Least as Least, Limit as Limit, Most as Most, Near as Near
 from .designing.pareto import ParetoFront as ParetoFront, pareto_front as pareto_front

@@ -259,12 +259,12 @@ def test_the_example_of_uniform_curvature_is_the_analytic_body(run, tmp_path):
 
 def test_tendons_may_run_where_the_robot_has_them(task, tmp_path):
     """As the robot's file says, unless the task does; a manipulator without the key keeps them in its wall."""
-    assert not read_task(task()).arguments["options"].offsets_outside_wall
+    assert not read_task(task()).arguments["offsets_outside_wall"]
     outside = PAPER.read_text().replace("[[tendons]]", "offsets_outside_wall = true\n\n[[tendons]]", 1)
     (tmp_path / "outside.toml").write_text(outside)
     text = TASK.replace(str(PAPER), "outside.toml")
-    assert read_task(task(text)).arguments["options"].offsets_outside_wall
-    assert not read_task(task("offsets_outside_wall = false\n" + text)).arguments["options"].offsets_outside_wall
+    assert read_task(task(text)).arguments["offsets_outside_wall"]
+    assert not read_task(task("offsets_outside_wall = false\n" + text)).arguments["offsets_outside_wall"]
 
 
 REFUSED = {

@@ -30,7 +30,6 @@ from cddf_jax.estimation.determination import IDENTIFIED, NOT_IDENTIFIED, PRIOR_
 L, d, MU, E = (PAPER[name] for name in ("length", "tendon_offset", "friction_coefficient", "youngs_modulus"))
 r = PAPER["inner_radius"]
 T = 50.0
-EIGHT = cddf.DesignOptions(nodes=8)
 FEASIBLE = 1e-6  # scaled, what a design promises
 CLOSED = 1e-7  # of a design against a closed form: a solver right to 1e-8, and limits kept to about that
 KNOTS = np.linspace(0.0, L, 5)
@@ -59,7 +58,7 @@ def uniform(kinematics, thinnest=0.0105, starts=1):
         bounds={"outer_radius": (thinnest, 0.03)},
         constraints=[cddf.Limit("tip_angle", equal=1.0)],
         cases=cddf.LoadCase(T),
-        options=cddf.DesignOptions(starts=starts),
+        starts=starts,
     )
 
 
@@ -365,7 +364,7 @@ def test_a_limit_broken_between_the_stations_only_is_kept_everywhere():
         bounds={"outer_radius": (0.0101, 0.03)},
         constraints=[cddf.Limit("wall_thickness", least=4e-3)],
         cases=cddf.LoadCase(T),
-        options=cddf.DesignOptions(nodes=4),
+        nodes=4,
     )
     fine = np.asarray(inner(np.linspace(middle - 1e-3, middle + 1e-3, 20001)))
     at_stations = np.asarray(inner(np.r_[np.linspace(0, L, 33), knots]))
@@ -521,7 +520,7 @@ def near_in_every_case(cases, worst):
         free=("outer_radius",),
         bounds={"outer_radius": (0.0105, 0.03)},
         cases=cases,
-        options=cddf.DesignOptions(worst=worst),
+        worst=worst,
     )
 
 
@@ -595,7 +594,7 @@ def test_a_tendon_that_ends_early_is_in_nobodys_way_beyond():
     body = stepped(outer_radius=taper, tendons=(cddf.Tendon(10e-3, end=0.1),))
     bounds, limits = {"outer_radius": (8e-3, 25e-3)}, [cddf.Limit("clearance", least=0.75e-3)]
     found = cddf.design(
-        body, cddf.Least("volume"), ("outer_radius",), bounds, limits, cases=cddf.LoadCase(20.0), options=EIGHT
+        body, cddf.Least("volume"), ("outer_radius",), bounds, limits, cases=cddf.LoadCase(20.0), nodes=8
     )
     assert found.success, found.result
     s = np.linspace(0, 0.1, 2001)
@@ -607,7 +606,7 @@ def test_no_price_where_two_limits_bind_at_one_place():
     """A wall of 3 mm and a tendon at 10 mm both stop the radius at 10 mm: giving way of one alone is worth nothing, and
     a thicker wall costs much. The volume pi (R^2 - r^2) L is proportional to the length."""
     bounds, limits = {"outer_radius": (8e-3, 25e-3)}, [cddf.Limit("wall_thickness", least=3e-3)]
-    options = {"cases": cddf.LoadCase(20.0), "options": EIGHT}
+    options = {"cases": cddf.LoadCase(20.0), "nodes": 8}
     found = cddf.design(stepped(), cddf.Least("volume"), ("outer_radius",), bounds, limits, **options)
     wall = found.limits[0]
     assert wall.name == "wall_thickness"

@@ -30,7 +30,7 @@ from cddf_jax.figures.designs import design_figure, draw_design
 L, E, MU, POISSON = 0.14, 1.4e6, 0.2, 0.5
 EJ = E * np.pi / 4 * (12e-3**4 - 4e-3**4)
 NEAREST, FARTHEST = 5e-3, 10e-3  # m, of a tendon from the axis
-FEW = cddf.DesignOptions(nodes=8)
+FEW = 8  # nodes
 
 
 def tube(*tendons, **others):
@@ -63,7 +63,7 @@ def pose(pull=8.0, angle=2.0):
             cddf.Limit("tip_z", equal=across * np.sin(angle)),
         ],
         cases=cddf.LoadCase(10.0, direction=1),
-        options=FEW,
+        nodes=FEW,
     )
 
 
@@ -124,7 +124,6 @@ def twisted(tension=10.0, d=8e-3):
         free=("tendons.*.angle.winding",),
         bounds={"tendons.*.angle.winding": (-6 * np.pi, -1.2 * np.pi)},
         cases=cddf.LoadCase((tension, 0.0), direction=1),
-        options=cddf.DesignOptions(nodes=16),
     )
 
 
@@ -157,7 +156,7 @@ def even():
         free=("tendons.1.offset",),
         bounds={"tendons.1.offset": (NEAREST, FARTHEST)},
         cases=cddf.LoadCase(30.0, direction=1),
-        options=FEW,
+        nodes=FEW,
     )
 
 

@@ -18,7 +18,7 @@ L, OFFSET, E, MU, ANGLE = 0.2, 6e-3, 2e9, 0.2, np.pi / 4
 OUTER, WALL = (2.2e-3, 1.8e-3), 0.5e-3
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(24)
 S, SHARES = (NODES + 1) / 2 * L, WEIGHTS / 2 * L
-OUTSIDE = cddf.DesignOptions(offsets_outside_wall=True, nodes=8)
+OUTSIDE = {"offsets_outside_wall": True, "nodes": 8}
 START, AWAY = (0.0, 0.0), (0.2e-3, 0.2e-3)  # radii of the bore at base and tip
 
 
@@ -69,7 +69,7 @@ def bored(bore, most_sag, most_volume=1.0):
             cddf.Limit("volume", most=most_volume * plain_volume(*START)),
         ],
         cases=cddf.LoadCase(cddf.TipAngle(ANGLE)),
-        options=OUTSIDE,
+        **OUTSIDE,
     )
 
 
@@ -120,7 +120,7 @@ def test_a_tension_grows_from_nothing_to_the_best():
         bounds={"base_tension": (0.0, 20.0)},
         constraints=[cddf.Limit("tip_angle", most=0.5)],
         cases=cddf.LoadCase(0.0),
-        options=OUTSIDE,
+        **OUTSIDE,
     )
     assert found.success, found.result
     wanted = E * np.expm1(MU * 0.5) / (MU * OFFSET * (SHARES @ (1 / second_moment(*START))))

@@ -223,14 +223,7 @@ def test_a_case_that_counts_nothing(weight):
     ],
 )
 def test_options_with_wrong_values(options, message):
-    assert message in refused(cddf.DesignOptions, **options)
-
-
-def test_a_front_has_one_start():
-    options = cddf.DesignOptions(starts=2)
-    task = paper_body(), (TENSION, MASS), ("length",)
-    said = refused(cddf.pareto_front, *task, cases=cddf.LoadCase(50.0), options=options)
-    assert "starts must be 1, got 2" in said
+    refused_design(message, **options)
 
 
 def test_a_start_without_equilibrium():

@@ -1,7 +1,7 @@
 """`design`: the body that meets an objective best within its limits."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from itertools import product
 from typing import TypeVar
 
@@ -23,43 +23,13 @@ from .load_cases import LoadCase, case_numbers
 from .objectives import Least, Limit, Objective
 from .problem import USABLE, DesignEvaluation, DesignProblem, Kept, Term
 from .results import Design, design_of, displayed
-from .search import WANDERING, search, starts_of
+from .search import WANDERING, search_designs, search_starts
 
 STATIONS = 33  # evenly spaced places at which limits along the body are evaluated
 CROSSING = 0.99  # largest kappa d; at 1 fibres cross
 THINNEST = 1e-3  # of the outer radius at the start: the least wall thickness
 Part = TypeVar("Part", Term, Kept)
 Aim = Objective | Callable[[Manipulator, Equilibrium], ArrayLike]
-
-
-@dataclass(frozen=True)
-class DesignOptions:
-    """Options of the search for a design.
-
-    Args:
-        starts: number of points within the bounds that are tried; searches begin at the best four and at the start.
-        nodes: of the solver.
-        worst: optimise the worst load case, not the weighted mean of all.
-        offsets_outside_wall: allow tendons in the bore or outside the body.
-
-    Raises:
-        InputError: names an option with a wrong value.
-    """
-
-    starts: int = 1
-    nodes: int = 16
-    worst: bool = False
-    offsets_outside_wall: bool = False
-
-    def __post_init__(self):
-        smallest = {"starts": 1, "nodes": 4}
-        for option in fields(self):
-            name, value = option.name, getattr(self, option.name)
-            if isinstance(option.default, bool):
-                if not isinstance(value, bool):
-                    raise InputError(f"design: {name} must be true or false, got {value!r}")
-            elif isinstance(value, bool) or not isinstance(value, int) or value < smallest[name]:
-                raise InputError(f"design: {name} must be a whole number of {smallest[name]} or more, got {value!r}")
 
 
 def design(
@@ -71,12 +41,15 @@ def design(
     *,
     cases: LoadCase | Sequence[LoadCase],
     choices: Mapping[str, Sequence[float]] | None = None,
-    options: DesignOptions | None = None,
+    starts: int = 1,
+    nodes: int = 16,
+    worst: bool = False,
+    offsets_outside_wall: bool = False,
 ) -> Design:
     """The body that meets an objective best within its limits, with first-order optimality as proof.
 
     The method is SciPy's SLSQP with exact derivatives of the solver; if it stops short, it starts again from there. The
-    answer is the best body nearby; `DesignOptions(starts=...)` searches further away.
+    answer is the best body nearby; `starts` searches further away.
 
     Args:
         manipulator: the start, with all numbers that do not change.
@@ -91,7 +64,10 @@ def design(
             of a bend, a wall of a thousandth of the radius, tendons in the wall.
         cases: how the body is used: one `LoadCase`, or several; see also `uncertain_cases`.
         choices: numbers that can only have certain values, by name; every combination is designed.
-        options: of the search.
+        starts: number of points within the bounds that are tried; searches begin at the best four and at the start.
+        nodes: of the solver.
+        worst: optimise the worst load case, not the weighted mean of all.
+        offsets_outside_wall: allow tendons in the bore or outside the body.
 
     Returns:
         A `Design`; look at `success`. If no body keeps all limits, `blocking` names those that contradict each other.
@@ -99,15 +75,16 @@ def design(
     Raises:
         InputError: for unknown names and contradictions, and where the start itself has no equilibrium.
     """
-    options = DesignOptions() if options is None else options
+    check_whole("design: starts", starts, 1)
     objectives, found = weighted(objective), []
+    how = {"nodes": nodes, "worst": worst, "offsets_outside_wall": offsets_outside_wall}
     for chosen in _combinations(manipulator, choices or {}, free):
         numbers = {name: np.asarray(number) for name, number in chosen.items()}
         body = case_numbers(manipulator).with_numbers(numbers).manipulator
-        problem = problem_of(body, objectives, free, bounds or {}, constraints, cases, options)
+        problem = problem_of(body, objectives, free, bounds or {}, constraints, cases, **how)
         if found:  # one scale for all, so that they can be compared
             problem = replace(problem, terms=found[0][1].terms)
-        found.append((chosen, problem, search(problem, starts_of(problem, options.starts))))
+        found.append((chosen, problem, search_designs(problem, search_starts(problem, starts))))
     chosen, problem, best = min(found, key=lambda each: each[2].rank)
     tried = tuple((each, displayed(problem, result.value)) for each, _, result in found) if choices else ()
     return design_of(best, manipulator, tried, chosen)
@@ -148,6 +125,12 @@ def _combinations(
         yield dict(zip(choices, numbers, strict=True))
 
 
+def check_whole(what: str, value: object, least: int) -> None:
+    """Refuse anything but a whole number of `least` or more."""
+    if isinstance(value, bool) or not isinstance(value, int) or value < least:
+        raise InputError(f"{what} must be a whole number of {least} or more, got {value!r}")
+
+
 # --- the problem, checked ----------------------------------------------------------------------------
 
 
@@ -158,9 +141,16 @@ def problem_of(
     bounds: Bounds,
     constraints: Limit | Sequence[Limit],
     cases: LoadCase | Sequence[LoadCase],
-    options: DesignOptions,
+    *,
+    nodes: int,
+    worst: bool,
+    offsets_outside_wall: bool,
 ) -> DesignProblem:
     """The problem of `design`, checked, with sizes taken from the start."""
+    check_whole("design: nodes", nodes, 4)
+    for name, value in (("worst", worst), ("offsets_outside_wall", offsets_outside_wall)):
+        if not isinstance(value, bool):
+            raise InputError(f"design: {name} must be true or false, got {value!r}")
     if jnp.result_type(float) != jnp.float64:
         raise InputError(
             'design: needs double precision; jax.config.update("jax_enable_x64", True) before anything else'
@@ -175,7 +165,7 @@ def problem_of(
         manipulator = manipulator.with_angles()
     numbers = free_numbers_of(used[0].of(manipulator), free, bounds)
     _check(manipulator, [*constraints, *(aim for _, aim in objectives)], numbers, used)
-    implied, one = _implied(manipulator, constraints, offsets_outside_wall=options.offsets_outside_wall), jnp.ones(())
+    implied, one = _implied(manipulator, constraints, offsets_outside_wall=offsets_outside_wall), jnp.ones(())
     limits = [(limit, False) for limit in constraints] + [(limit, True) for limit in implied]
     problem = DesignProblem(
         manipulator,
@@ -184,8 +174,8 @@ def problem_of(
         terms=tuple(Term(aim, jnp.asarray(weight, float), one) for weight, aim in objectives),
         limits=tuple(Kept(jax.tree.map(jnp.asarray, limit), one, own) for limit, own in limits),
         stations=jnp.asarray(_stations(manipulator)),
-        worst=options.worst,
-        nodes=options.nodes,
+        worst=worst,
+        nodes=nodes,
     )
     return _sized(problem)
 

@@ -11,13 +11,13 @@ from ..errors import InputError
 from ..files.writing import markdown_table
 from ..robot.manipulator import Manipulator
 from ..units import shown
-from .design import Aim, DesignOptions, problem_of, weighted
+from .design import Aim, check_whole, problem_of, weighted
 from .free_numbers import Bounds, number_in_words
 from .load_cases import LoadCase
 from .objectives import Limit
 from .problem import DesignProblem
 from .results import Achieved, Design, design_of
-from .search import SearchResult, search, starts_of
+from .search import SearchResult, search_designs, search_starts
 
 SECOND = 1e-4  # weight of the other objective, so that it is not larger than it needs to be
 SAME = 1e-3  # relative: ends that differ by less in both objectives are one body
@@ -78,7 +78,9 @@ def pareto_front(
     *,
     cases: LoadCase | Sequence[LoadCase],
     num: int = 9,
-    options: DesignOptions | None = None,
+    nodes: int = 16,
+    worst: bool = False,
+    offsets_outside_wall: bool = False,
 ) -> ParetoFront:
     """The trade-off between two objectives.
 
@@ -87,22 +89,19 @@ def pareto_front(
     This is the epsilon-constraint method, which also finds fronts that are not convex.
 
     Args:
-        manipulator, free, bounds, constraints, cases, options: as in `design`; there is one start.
+        manipulator, free, bounds, constraints, cases, nodes, worst, offsets_outside_wall: as in `design`.
         objectives: two of `Least`, `Most`, `Even`, `Near` or functions of manipulator and equilibrium.
         num: points, 3 or more.
 
     Raises:
-        InputError: for another number of objectives, points or starts, and as `design`.
+        InputError: for another number of objectives or points, and as `design`.
     """
-    options = DesignOptions() if options is None else options
     if not isinstance(objectives, list | tuple) or len(objectives) != 2:
         raise InputError('pareto_front: give two objectives, as in (Least("base_tension"), Least("mass"))')
-    if isinstance(num, bool) or not isinstance(num, int) or num < 3:
-        raise InputError(f"pareto_front: num must be a whole number of 3 or more, got {num!r}")
-    if options.starts != 1:
-        raise InputError(f"pareto_front: starts must be 1, got {options.starts}; a front has one start")
+    check_whole("pareto_front: num", num, 3)
     pairs = weighted([(1.0, aim) for aim in objectives])
-    problem = problem_of(manipulator, pairs, free, bounds or {}, constraints, cases, options)
+    how = {"nodes": nodes, "worst": worst, "offsets_outside_wall": offsets_outside_wall}
+    problem = problem_of(manipulator, pairs, free, bounds or {}, constraints, cases, **how)
     return ParetoFront(tuple(design_of(found, manipulator) for found in _searched(problem, num)))
 
 
@@ -111,9 +110,9 @@ def _searched(problem: DesignProblem, num: int) -> list[SearchResult]:
 
     def best(small: int, level: float, *starts: np.ndarray) -> SearchResult:
         """Make one objective small under a level of the other."""
-        return search(_at(problem, small, level), starts)
+        return search_designs(_at(problem, small, level), starts)
 
-    starts = starts_of(problem)
+    starts = search_starts(problem)
     first = best(0, np.inf, *starts)
     found = [first, best(1, np.inf, first.z, *starts)]
     while len(found) < num:

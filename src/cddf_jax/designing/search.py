@@ -67,7 +67,7 @@ class SearchResult(NamedTuple):
         return np.asarray(self.problem.split(self.local.point.x)[0])
 
 
-def search(problem: DesignProblem, starts: Sequence[np.ndarray]) -> SearchResult:
+def search_designs(problem: DesignProblem, starts: Sequence[np.ndarray]) -> SearchResult:
     """Searches that begin at some scaled free numbers; the first of those that end as well as the best."""
     found = [_repeated(problem, z) for z in each("search from start", starts)]
     value, violation = min(each.rank for each in found)
@@ -79,7 +79,7 @@ def search(problem: DesignProblem, starts: Sequence[np.ndarray]) -> SearchResult
     return best._replace(starts=tuple(each.value for each in found))
 
 
-def starts_of(problem: DesignProblem, tried: int = 1) -> list[np.ndarray]:
+def search_starts(problem: DesignProblem, tried: int = 1) -> list[np.ndarray]:
     """The start, a point beside it if it is flat, and the best of `tried` - 1 points by objective and violation."""
     start, ranges = problem.free.scaled_start, problem.free.ranges
     first = [start, *_beside(problem, start)]

@@ -3,7 +3,7 @@
 import re
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -19,7 +19,7 @@ from ..robot.manipulator import Manipulator
 from ..robot.profiles import Linear, Profile, Spline
 from ..units import Dimension, quantity
 from .body_quantities import BODY_QUANTITIES, quantity_named
-from .design import DesignOptions, design
+from .design import design
 from .free_numbers import dimension_of_number, numbers_under
 from .load_cases import LoadCase, case_numbers, uncertain_cases
 from .objectives import Even, Least, Limit, Most, Near, Objective
@@ -47,7 +47,6 @@ def _keys() -> dict[str, dict[str, bool]]:
 
 KEYS = _keys()
 _AIMS: dict[str, type[Objective]] = {"least": Least, "most": Most, "even": Even, "near": Near}
-_OPTIONS = [field.name for field in fields(DesignOptions)]
 
 
 def template() -> str:
@@ -74,7 +73,7 @@ class DesignTask(NamedTuple):
         aims = self.arguments["objective"]
         given = {name: value for name, value in self.arguments.items() if name not in ("objective", "choices")}
         with within(self.path):
-            if self.arguments["choices"] or given["options"].starts > 1 or any(weight != 1 for weight, _ in aims):
+            if self.arguments["choices"] or "starts" in given or any(weight != 1 for weight, _ in aims):
                 raise InputError("choices, starts and weights have no place in a trade-off; take them out of the task")
             return pareto_front(objectives=[aim for _, aim in aims], num=num, **given)
 
@@ -101,7 +100,6 @@ def _task(table: Table, path: Path) -> DesignTask:
     if "uncertain" in table:
         cases, notes = _uncertain(cases, body, _entries(table, "uncertain"), path.parent, gravity)
         read_as += notes
-    given = {"offsets_outside_wall": outside} | {key: table[key] for key in _OPTIONS if key in table}
     arguments = {
         "manipulator": body,
         "objective": _each(table, "objective", _objective),
@@ -110,8 +108,9 @@ def _task(table: Table, path: Path) -> DesignTask:
         "constraints": _each(table, "limit", _limit) if "limit" in table else [],
         "cases": cases,
         "choices": choices,
-        "options": DesignOptions(**given),  # pyright: ignore[reportArgumentType]  # it checks each itself
+        "offsets_outside_wall": outside,
     }
+    arguments |= {key: table[key] for key in ("starts", "nodes", "worst", "offsets_outside_wall") if key in table}
     return DesignTask(path, arguments, read_as, gravity)
 
 

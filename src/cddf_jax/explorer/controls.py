@@ -113,7 +113,7 @@ def load_components(body: Manipulator) -> dict[str, dict[str, str]]:
     return found if body.in_space else found | {"tip_moment": {"tip_moment": ""}}
 
 
-def loads_of(body: Manipulator, numbers: Mapping[str, ArrayLike]) -> Loads | None:
+def loads_by_name(body: Manipulator, numbers: Mapping[str, ArrayLike]) -> Loads | None:
     """Loads from their components by name, SI, each a number or a path; None if all are zero."""
     given = {kind: np.stack([numbers[name] for name in names], -1) for kind, names in load_components(body).items()}
     if not any(map(np.any, given.values())):

@@ -31,7 +31,7 @@ from ..statics.equilibrium_text import result_in_words, wall_remarks
 from ..statics.named_numbers import Case, of_tendon
 from ..statics.solve import solve
 from ..statics.status import Status
-from .controls import FITTED, RADII, Control, controls_of, in_si, loads_of
+from .controls import FITTED, RADII, Control, controls_of, in_si, loads_by_name
 
 if TYPE_CHECKING:
     from ..identification.fit import Fit
@@ -147,7 +147,7 @@ class Exploration:
             wall = tapered(body.outer_radius, base, tip, body.length)
             body = replace(body, outer_radius=wall).validate(offsets_outside_wall=self.offsets_outside_wall)
         pulls = np.array([number[of_tendon("base_tension", i)] for i in range(body.num_tendons)])
-        return Case(body, pulls, loads_of(body, number), as_directions(settings.direction))
+        return Case(body, pulls, loads_by_name(body, number), as_directions(settings.direction))
 
     # --- answers ---------------------------------------------------------------------------------
 

@@ -11,7 +11,7 @@ from ..history.trace import trace
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..statics.status import Status
-from .controls import in_si, load_components, loads_of, tensions_and_loads
+from .controls import in_si, load_components, loads_by_name, tensions_and_loads
 from .model import Exploration, Settings
 
 NUM_MOVES = 20  # that are remembered
@@ -72,7 +72,7 @@ def loop_of(body: Manipulator, moves: Moves, tendon: int, arc_length: np.ndarray
     path = np.concatenate([ends[:1], *(np.linspace(*leg, NUM_POINTS + 1)[1:] for leg in pairwise(ends))])
     tension, acting = np.split(path, [body.num_tendons], axis=1)
     names = [name for components in load_components(body).values() for name in components]
-    loads = loads_of(body, dict(zip(names, acting.T, strict=True)))
+    loads = loads_by_name(body, dict(zip(names, acting.T, strict=True)))
     *of_tendons, angle, error, status, position = map(np.asarray, _along(body, tension, loads, arc_length))
     pull, tip, pulled_in, front = (x.reshape(len(path), -1)[:, tendon] for x in (tension, *of_tendons))
     since = slice(-NUM_POINTS * (len(moves) - 1) - 1, None)

@@ -44,5 +44,5 @@ def _failure(answer: dict[str, object]) -> str:
 
 
 def _manipulator_file(task: DesignTask, found: Design) -> str:
-    outside = task.arguments["options"].offsets_outside_wall
+    outside = task.arguments["offsets_outside_wall"]
     return manipulator_text(found.manipulator, offsets_outside_wall=outside, gravity=task.gravity)
