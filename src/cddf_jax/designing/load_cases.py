@@ -1,8 +1,8 @@
 """Load cases of a design: how its body is pulled and loaded, and cases with uncertain numbers."""
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import equinox as eqx
 import jax
@@ -25,6 +25,7 @@ from ..statics.targets import Target, TipPosition
 if TYPE_CHECKING:
     from ..identification.fit import Fit
 
+Answer = TypeVar("Answer", bound=PyTree)
 # parameters of a fit that are numbers of the body
 BODY_PARAMETERS = (
     *("friction_coefficient", "youngs_modulus", "length", "drag"),
@@ -142,16 +143,19 @@ def case_numbers(manipulator: Manipulator) -> Case:
     return Case(manipulator, None, None, None)
 
 
-def alike(cases: Sequence[LoadCase]) -> list[list[int]]:
-    """The indices of the cases, in groups that one program can solve together."""
-    groups: dict[Hashable, list[int]] = {}
-    for i, case in enumerate(cases):
-        leaves, structure = jax.tree.flatten(replace(case, name=""))
-        groups.setdefault((structure, tuple(map(np.shape, leaves))), []).append(i)
-    return list(groups.values())
-
-
-def stacked(cases: Sequence[LoadCase]) -> LoadCase:
-    """Cases of one group as one case with a leading axis on every number."""
+def of_every_case(function: Callable[[LoadCase], Answer], cases: Sequence[LoadCase]) -> Answer:
+    """A function of every case, with a leading axis on its values; similar cases are computed together."""
     nameless = [replace(case, name="") for case in cases]
-    return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves]), *nameless)
+    groups: dict[Hashable, list[int]] = {}
+    for i, case in enumerate(nameless):
+        leaves, structure = jax.tree.flatten(case)
+        groups.setdefault((structure, tuple(map(np.shape, leaves))), []).append(i)
+    found = []
+    for first, *others in groups.values():
+        if others:
+            similar = [nameless[i] for i in (first, *others)]
+            found.append(jax.vmap(function)(jax.tree.map(lambda *x: jnp.stack(list(map(jnp.asarray, x))), *similar)))
+        else:
+            found.append(jax.tree.map(lambda x: x[None], function(nameless[first])))
+    places = np.argsort([i for group in groups.values() for i in group])
+    return jax.tree.map(lambda *parts: jnp.concatenate(parts)[places], *found)

@@ -1,13 +1,13 @@
 """A design as a nonlinear program: an objective to be made small, margins that must not be negative, equations."""
 
-from collections.abc import Callable, Sequence
-from typing import NamedTuple, TypeVar
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, PyTree
+from jaxtyping import Array, Float, Int
 
 from ..robot.manipulator import Manipulator
 from ..robot.profiles import Scalar
@@ -15,10 +15,9 @@ from ..statics.status import Status
 from .body_quantities import BodyView
 from .constrained import Point
 from .free_numbers import FreeNumbers, Vector
-from .load_cases import LoadCase, alike, stacked
+from .load_cases import LoadCase, of_every_case
 from .objectives import Limit, Objective
 
-Answer = TypeVar("Answer", bound=PyTree)
 Part = Float[Array | np.ndarray, " _"]  # of a vector
 Values = tuple[Array, Array]  # objective and scaled margins, or their slopes
 USABLE = (  # with which a search can go on
@@ -139,19 +138,8 @@ class DesignProblem(eqx.Module):
         def once(parts: Sequence[Objective | Limit], values: Sequence[Array]) -> tuple[Array, ...]:
             return tuple(x if part.known.bent else x[:1] for part, x in zip(parts, values, strict=True))
 
-        found = self._of_every_case(of_case)
+        found = of_every_case(of_case, self.cases)
         return DesignEvaluation(once(aims, found.aims), once(limits, found.margins), found.codes)
-
-    def _of_every_case(self, function: Callable[[LoadCase], Answer]) -> Answer:
-        """The function of every case, with a leading axis on its values; similar cases are computed together."""
-        answers: dict[int, Answer] = {}
-        for group in alike(self.cases):
-            if len(group) == 1:
-                answers[group[0]] = function(self.cases[group[0]])
-                continue
-            many = jax.vmap(function)(stacked([self.cases[i] for i in group]))
-            answers |= {i: jax.tree.map(lambda x, k=k: x[k], many) for k, i in enumerate(group)}
-        return jax.tree.map(lambda *values: jnp.stack(values), *(answers[i] for i in range(len(self.cases))))
 
     def values(self, unknowns: Vector) -> tuple[Values, DesignEvaluation]:
         """The objective and the scaled margins of the nonlinear program, and its evaluation."""
