@@ -41,10 +41,14 @@ class Objective(OfQuantity):
         return f"{type(self).__name__.lower()} {self.name}"
 
 
-class _Extreme(Objective):
-    """The largest or the smallest of a quantity."""
+class Least(Objective):
+    """The least of a quantity: of a quantity along the body its largest value, of several tendons their sum.
 
-    sign: ClassVar[float]
+    Args:
+        quantity: a name of `BODY_QUANTITIES`, or a function of manipulator and equilibrium that gives a number.
+    """
+
+    sign: ClassVar[float] = 1.0
 
     @property
     def peak(self) -> bool:
@@ -64,17 +68,7 @@ class _Extreme(Objective):
         return self.sign * value
 
 
-class Least(_Extreme):
-    """The least of a quantity: of a quantity along the body its largest value, of several tendons their sum.
-
-    Args:
-        quantity: a name of `BODY_QUANTITIES`, or a function of manipulator and equilibrium that gives a number.
-    """
-
-    sign = 1.0
-
-
-class Most(_Extreme):
+class Most(Least):
     """The most of a quantity: of a quantity along the body its smallest value, of several tendons their sum."""
 
     sign = -1.0

@@ -9,7 +9,7 @@ from ..files.writing import markdown_table
 from ..units import Dimension, preferred, shown
 from .constrained import TOLERANCE
 from .free_numbers import dimension_of_number, number_in_words
-from .results import Design, LimitReport, fixed_numbers
+from .results import Design, fixed_numbers
 
 LARGEST = 12  # sensitivities in the report
 NOT_IN_JSON = ("manipulator", "start", "cases", "outcome")
@@ -65,15 +65,10 @@ def _limits(found: Design) -> Iterator[str]:
         text = f"{limit.name} {signs[limit.side]} {bound}{' (implied)' if limit.implied else ''}"
         place = "" if np.isnan(limit.arc_length) else f"s = {shown(limit.arc_length, 'length')}"
         where = ", ".join(part for part in (limit.case, place) if part)
-        rows.append((text, reached, where, _of_limit(found, limit)))
+        worth = _worth(found, limit.multiplier, limit.dimension) if limit.active else ""
+        rows.append((text, reached, where, "broken" if limit.margin < -TOLERANCE else worth))
     yield from markdown_table(("limit", "reached", "where", "gain by relaxing it"), rows, right=("reached",))
     yield ""
-
-
-def _of_limit(found: Design, limit: LimitReport) -> str:
-    if not found.feasible:
-        return "broken" if limit.margin < -TOLERANCE else ""
-    return _worth(found, limit.multiplier, limit.dimension) if limit.active else ""
 
 
 def _worth(found: Design, slope: float, dimension: Dimension) -> str:
@@ -95,7 +90,6 @@ def _sensitivity(found: Design) -> Iterator[str]:
     numbers = zip(fixed_numbers(found.outcome.problem).values(), found.sensitivity.items(), strict=True)
     for value, (name, slope) in numbers:
         change = slope * value
-        name = name.removeprefix("case 1: ") if len(found.cases) == 1 else name
         if dimension_of_number(name.split(": ")[-1]) == "angle":  # which has no size
             name, change = f"{name}, by 1 deg", slope * np.radians(1.0) / 0.01
         if np.isnan(slope):

@@ -109,7 +109,8 @@ class Design:
         fixed, unit = fixed_numbers(problem), unit_of_objective(problem)
         numbers = jnp.asarray(list(fixed.values()))
         gradient, slopes = map(np.asarray, _slopes(problem, jnp.asarray(local.point.x), tuple(fixed), numbers))
-        labels = [name if case is None else f"case {case + 1}: {name}" for case, name in fixed]
+        alone = len(self.cases) == 1
+        labels = [name if case is None or alone else f"case {case + 1}: {name}" for case, name in fixed]
         columns = zip(labels, gradient, slopes.T, strict=True)
         return {label: unit * (float(own) - local.price(limits)) for label, own, limits in columns}
 
