@@ -74,15 +74,6 @@ def test_a_design_of_least_hysteresis_has_the_width_of_the_closed_form(found):
     assert "- least hysteresis: 14.798 deg -> 19.927 deg" in str(found)
 
 
-@pytest.mark.slow
-def test_what_more_bend_and_more_friction_cost(found):
-    """By multiplier and sensitivity, against differences of the closed form; 8 nodes are right to 3e-5 here."""
-    (angle,) = (limit for limit in found.limits if limit.name == "tip_angle")
-    assert angle.multiplier == pytest.approx(difference(lambda a: of_angle(a, MU), 0.9, 1e-4), rel=1e-5)
-    slope = found.sensitivity["friction_coefficient"]
-    assert slope == pytest.approx(difference(lambda mu: of_angle(0.9, mu), MU, 1e-4), rel=1e-4)
-
-
 def width_of(body, case):
     return BODY_QUANTITIES["hysteresis"].of(BodyView(body, jnp.zeros(1), case, case.solve(body)))
 
