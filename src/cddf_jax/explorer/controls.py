@@ -48,7 +48,7 @@ class Control(NamedTuple):
 def controls_of(
     body: Manipulator, tables: Sequence[Measurements], arc_length: np.ndarray, gravity: Sequence[float] = ()
 ) -> tuple[Control, ...]:
-    """Everything that can be changed, with ranges about the numbers of a body.
+    """Everything that can be changed, tensions first and loads last, with ranges about the numbers of a body.
 
     Args:
         body: whose numbers they are.
@@ -98,12 +98,6 @@ def _loads(body: Manipulator, s: np.ndarray, gravity: Sequence[float]) -> list[C
         for kind, components in load_components(body).items()
         for name, axis in components.items()
     ]
-
-
-def tensions_and_loads(controls: Sequence[Control]) -> tuple[list[Control], list[Control]]:
-    """The controls of what moves a given body."""
-    tensions = [control for control in controls if control.quantity.name == "base_tension"]
-    return tensions, [control for control in controls if control.quantity.name in LOADS]
 
 
 def load_components(body: Manipulator) -> dict[str, dict[str, str]]:

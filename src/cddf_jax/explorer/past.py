@@ -11,7 +11,7 @@ from ..history.trace import trace
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..statics.status import Status
-from .controls import in_si, load_components, loads_by_name, tensions_and_loads
+from .controls import LOADS, in_si, load_components, loads_by_name
 from .model import Exploration, Settings
 
 NUM_MOVES = 20  # that are remembered
@@ -42,11 +42,13 @@ class Loop(NamedTuple):
 
 def after_move(moves: Moves, explored: Exploration, settings: Settings) -> Moves:
     """The moves after the sliders were moved; one that goes on in the direction of the last is one with it."""
-    tensions, loads = tensions_and_loads(explored.controls)
-    here = tuple(in_si(settings.numbers[control.name], control.quantity) for control in (*tensions, *loads))
+    moving = [control for control in explored.controls if control.quantity.name in ("base_tension", *LOADS)]
+    here = tuple(in_si(settings.numbers[control.name], control.quantity) for control in moving)
     if not moves:
         return (here,)
-    last, new = (np.subtract(b, a) for a, b in pairwise([_first(moves, len(tensions)), *moves, here][-3:]))
+    last, new = (
+        np.subtract(b, a) for a, b in pairwise([_first(moves, explored.manipulator.num_tendons), *moves, here][-3:])
+    )
     if not np.any(new):
         return moves
     onwards = last @ new >= (1 - PARALLEL) * np.linalg.norm(last) * np.linalg.norm(new)

@@ -17,7 +17,7 @@ from ..quantities import QUANTITIES
 from ..reports.export import fields_csv
 from ..robot.cross_section import Kinematics
 from ..robot.manipulator import KINEMATICS
-from .controls import from_si, rounded, tensions_and_loads
+from .controls import from_si, rounded
 from .model import Exploration, Picture, Settings
 from .parts import column, grid, plot, slider, title, words
 from .past import Loop, Moves, after_move, loop_of, why_no_loop
@@ -166,8 +166,8 @@ class ExplorerView:
         """Solve for the present positions of the sliders."""
         numbers = {name: float(each.value) for name, each in self.sliders.items()}
         directions = tuple(widget.value or None for widget in self.directions)
-        tensions = [control.name for control in tensions_and_loads(self.exploration.controls)[0]]
-        moved = [i for i, name in enumerate(tensions) if numbers[name] != self.settings.numbers[name]]
+        tensions = self.exploration.controls[: self.exploration.manipulator.num_tendons]
+        moved = [i for i, each in enumerate(tensions) if numbers[each.name] != self.settings.numbers[each.name]]
         self.tendon = moved[0] if moved else self.tendon
         self.settings = Settings(numbers, directions, self.kinematics.value)
         self._mark("computing", True, self.drawn)
