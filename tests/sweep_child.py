@@ -33,7 +33,7 @@ def main(asked: dict[str, Any]) -> None:
     if "limit" in asked:
         # threads and compiled code come with a sweep of the first two chunks, of one row each as those of the whole
         over = axes(asked["solves"], 50_000)
-        options["memory"] = 40e6
+        options["chunk"] = 50_000
         first = {"base_tension": over["base_tension"][:2]}
         cddf.sweep(paper_body(), over | first, out=asked["out"] + ".first", **options)
         status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())

@@ -26,7 +26,7 @@ from sweep_child import axes
 
 import cddf_jax as cddf
 from cddf_jax.batch import work as work_module
-from cddf_jax.batch.chunks import Layout, Variable, even_chunks
+from cddf_jax.batch.chunks import Layout, count, even_chunks
 from cddf_jax.sweeping.axes import dimensions_of
 from cddf_jax.sweeping.sweep import Sweep
 
@@ -119,12 +119,11 @@ def test_even_chunks(sizes, most, single, expected):
 
 
 def test_regions_tile_the_answer():
-    shape = {"a": 7, "b": 5}
-    layout = Layout(shape, (3, 2), {}, {"x": Variable(("a", "b"), (7, 5), np.dtype(float), {})}, {})
-    times = np.zeros((7, 5), int)
-    for index in layout.indices():
-        times[layout.region(index)] += 1
-        assert times[layout.region(index)].size == layout.count(index)
+    times = xarray.DataArray(np.zeros((7, 5), int), dims=("a", "b"))
+    layout = Layout(xarray.Dataset({"x": times}), {"a": 3, "b": 2})
+    for region in layout.regions():
+        times[region] += 1
+        assert times[region].size == count(region)
     assert np.all(times == 1)
 
 
@@ -243,6 +242,16 @@ def test_a_chunk_that_is_not_whole_is_computed_again(plain, copied, damage):
     assert len(chunk.read_bytes()) == len(whole)
 
 
+def test_a_chunk_in_which_all_solves_failed_is_not_computed_again(tmp_path):
+    """All its numbers are those of a chunk that is missing."""
+    over = {"base_tension": [10.0, -1.0]}
+    cddf.sweep(paper_body(), over, out=tmp_path / "s.zarr", chunk=1, **OPTIONS)
+    (tmp_path / "s.zarr" / "tip_tension" / "c" / "1" / "0").unlink()  # begun again in a store that is there
+    for _ in range(2):
+        cddf.sweep(paper_body(), over, out=tmp_path / "s.zarr", chunk=1, **OPTIONS)
+        assert {len(list((tmp_path / "s.zarr" / name / "c").iterdir())) for name in STORED} == {2}
+
+
 def test_a_store_without_one_of_its_arrays_is_said_to_be_damaged(copied):
     (copied / "tip_position" / "zarr.json").unlink()
     with pytest.raises(cddf.InputError, match=r"s\.zarr is damaged: its array 'tip_position' cannot be read"):
@@ -266,7 +275,7 @@ OTHERS = {
     "axis": ({"solves": 250}, "its axis base_tension is"),
     "outputs": ({"outputs": ["tip_angle"]}, "its outputs is"),
     "nodes": ({"nodes": 12}, "its nodes is 16, not 12"),
-    "a number more": ({"body": {"drag": 1.0}}, "it has no drag"),
+    "a number more": ({"body": {"drag": 1.0}}, 'its drag is "missing", not 1.0'),
     "observable": ({"observables": {"x": lambda found: found.tip_angle}}, "its observables is"),
 }
 
@@ -308,13 +317,14 @@ def test_a_package_that_is_missing_is_named(monkeypatch):
 # --- memory -----------------------------------------------------------------------------------------
 
 
-def test_too_little_memory_is_said_before_anything_is_solved(tmp_path):
-    """34 bytes a solve, three copies of a chunk; test_memory_stays_bounded measures a real process."""
-    with pytest.raises(cddf.InputError, match=r"one solve needs 78 bytes"):
-        cddf.sweep(paper_body(), axes(SOLVES), out=tmp_path / "s.zarr", memory=70.0, **OPTIONS)
-    work = Sweep(manipulator=paper_body(), dimensions=dimensions_of(axes(SOLVES)), memory=78.0 * 60, **OPTIONS)
-    assert work.layout.chunk_size <= 60
-    assert not list(tmp_path.iterdir())
+def test_memory_bounds_chunks_and_what_is_kept_in_memory(tmp_path, monkeypatch):
+    """34 bytes a solve, three copies of a chunk, a quarter of the memory; test_memory_is_bounded_for_any_size
+    measures a real process."""
+    monkeypatch.setattr(Sweep, "free", 4 * 102.0 * 60)
+    work = Sweep(manipulator=paper_body(), dimensions=dimensions_of(axes(SOLVES)), **OPTIONS)
+    assert 30 <= work.layout.chunk_size <= 60
+    monkeypatch.setattr(Sweep, "free", 4 * 102.0)
+    assert "MB are free; give out=" in refused(cddf.sweep, paper_body(), axes(SOLVES), **OPTIONS)
 
 
 @pytest.mark.slow

@@ -376,7 +376,7 @@ def test_places_that_cannot_be(fails, tmp_path):
     (tmp_path / "file").write_text("mine")
     (tmp_path / "other.zarr").mkdir()
     for options in (("--out", "file/sweep.zarr"), ("--out", "x.zarr", "--csv", "file/table.csv"), ("--out", "file")):
-        said = "file: is a file, and a folder is needed there; choose another place"
+        said = "file: Not a directory; choose another place"
         assert fails(PAPER, *TENSIONS, *options) == f"{options[-2]}: {said}"
     message = "other.zarr exists and was not written by cddf_jax; give another path, or delete it"
     assert fails(PAPER, *TENSIONS, "--out", "other.zarr") == message

@@ -109,7 +109,7 @@ def test_bad_input_is_named(load_cells):
 
 def test_files_are_replaced_together_or_not_at_all(tmp_path):
     writing.write_all(tmp_path, {"a.txt": "old", "b.bin": b"old"})
-    with pytest.raises(InputError, match=r"a\.txt: is a file, and a folder is needed there; choose another place$"):
+    with pytest.raises(InputError, match=r"a\.txt.*; choose another place$"):
         writing.write_all(tmp_path, {"a.txt": "new", "a.txt/b.bin": b"new"})
     assert (tmp_path / "a.txt").read_text() == "old"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.txt", "b.bin"]

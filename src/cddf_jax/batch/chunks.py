@@ -1,78 +1,64 @@
-"""A large result in chunks: arrays over common dimensions."""
+"""A large dataset before it is computed, and the chunks in which it is computed."""
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+if TYPE_CHECKING:
+    import xarray
 
-class Variable(NamedTuple):
-    """One array of the answer."""
-
-    dims: tuple[str, ...]  # those that are common, then its own
-    shape: tuple[int, ...]
-    dtype: np.dtype
-    attrs: Mapping[str, object]
-
-    @property
-    def missing(self) -> float | bool | int:
-        """The value where nothing has been computed yet."""
-        return {"f": np.nan, "b": False}.get(self.dtype.kind, -1)
-
-
-Coordinate = tuple[tuple[str, ...], np.ndarray, Mapping[str, object]]  # as xarray takes it
-Index = tuple[int, ...]  # of a chunk
+Region = dict[str, slice]  # of a chunk, by dimension
 
 
 @dataclass(frozen=True)
 class Layout:
-    """The shape of the answer and of its chunks, before it is computed."""
+    """A dataset before it is computed, and its chunks."""
 
-    shape: dict[str, int]  # of the common dimensions, by name
-    chunks: Index  # along the same dimensions
-    coords: dict[str, Coordinate]
-    variables: dict[str, Variable]  # written in this order
-    attrs: Mapping[str, object]
+    empty: "xarray.Dataset"  # its arrays are `missing`, and are written in this order
+    chunks: dict[str, int]  # along the dimensions that all arrays have first, by name and in their order
 
     @property
     def size(self) -> int:
-        """The number of items."""
-        return int(np.prod(list(self.shape.values())))
+        """The number of items: combinations along the common dimensions."""
+        return math.prod(self.empty.sizes[name] for name in self.chunks)
 
     @property
     def bytes_each(self) -> int:
         """Bytes of the answer for each item."""
-        own = (int(np.prod(v.shape[len(self.shape) :])) * v.dtype.itemsize for v in self.variables.values())
-        return sum(own)
+        return sum(array.nbytes for array in self.empty.data_vars.values()) // self.size
 
     @property
     def chunk_size(self) -> int:
-        return int(np.prod(self.chunks))
+        return math.prod(self.chunks.values())
 
-    def count(self, index: Index) -> int:
-        """The number of items in a chunk."""
-        return int(np.prod([places.stop - places.start for places in self.region(index)]))
-
-    def indices(self) -> Iterator[Index]:
-        """The indices of all chunks, in the order of the answer."""
-        counts = (-(-size // chunk) for size, chunk in zip(self.shape.values(), self.chunks, strict=True))
-        return itertools.product(*map(range, counts))
-
-    def region(self, index: Index) -> tuple[slice, ...]:
-        """The places of a chunk along the common dimensions."""
-        along = zip(index, self.chunks, self.shape.values(), strict=True)
-        return tuple(slice(i * chunk, min((i + 1) * chunk, size)) for i, chunk, size in along)
+    def regions(self) -> Iterator[Region]:
+        """The places of all chunks along the common dimensions, in the order of the answer."""
+        sizes = self.empty.sizes
+        along = ([slice(i, min(i + n, sizes[d])) for i in range(0, sizes[d], n)] for d, n in self.chunks.items())
+        return (dict(zip(self.chunks, places, strict=True)) for places in itertools.product(*along))
 
 
-def even_chunks(sizes: Sequence[int], most: int, single: Sequence[bool]) -> Index:
+def missing(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
+    """An array in which nothing has been computed yet: NaN, false or -1 everywhere, in no more memory than one."""
+    return np.broadcast_to(np.array({"f": np.nan, "b": False}.get(dtype.kind, -1), dtype), shape)
+
+
+def count(region: Region) -> int:
+    """The number of items in a chunk."""
+    return math.prod(places.stop - places.start for places in region.values())
+
+
+def even_chunks(sizes: Sequence[int], most: int, single: Sequence[bool]) -> tuple[int, ...]:
     """Chunks of nearly equal size with no more than `most` items; the last dimensions are not divided if possible.
 
     `single` says of each dimension whether a chunk has the length 1 along it.
     """
     chunks: list[int] = []
     for size, alone in zip(reversed(sizes), reversed(single), strict=True):
-        longest = 1 if alone else max(most // int(np.prod([1, *chunks])), 1)
+        longest = 1 if alone else max(most // math.prod(chunks), 1)
         chunks.append(-(-size // -(-size // longest)))
     return tuple(reversed(chunks))

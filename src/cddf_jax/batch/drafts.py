@@ -18,10 +18,9 @@ TRIAL = 2**20  # bytes, about the size of a report
 def in_one_step(path: Path) -> Iterator[Path]:
     """A draft of a file or folder, which takes the place of the path when it is complete.
 
-    The folder around it is made if it is missing, and removed again if nothing came into it.
+    The folder around it is made if it is missing.
     """
     draft = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
-    missing = _missing(draft)[1:]
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield draft
@@ -31,9 +30,6 @@ def in_one_step(path: Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             shutil.rmtree(draft) if draft.is_dir() else draft.unlink(missing_ok=True)
-        for folder in missing:
-            with suppress(OSError):  # it is not empty
-                folder.rmdir()
 
 
 def check_folder(folder: Path) -> None:
@@ -41,19 +37,9 @@ def check_folder(folder: Path) -> None:
 
     A file without a name is written in it, or where it would be made; nothing is left of it.
     """
-    there = (folder, *folder.parents)[len(_missing(folder))]
+    there = next(path for path in (folder, *folder.parents) if path.exists())
     try:
         with TemporaryFile(dir=there) as trial:
             trial.write(bytes(TRIAL))
     except OSError as error:
         raise InputError(error.strerror or str(error), where=str(there), remedy=REMEDY) from None
-
-
-def _missing(path: Path) -> list[Path]:
-    """What is not there of a path and the folders above it, the innermost first."""
-    chain = (path, *path.parents)
-    missing = [each for each in chain if not os.path.lexists(each)]
-    for folder in chain[len(missing) :]:
-        if not os.path.isdir(folder):
-            raise InputError("is a file, and a folder is needed there", where=str(folder), remedy=REMEDY)
-    return missing

@@ -3,7 +3,6 @@
 import hashlib
 import re
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import numpy as np
@@ -13,17 +12,12 @@ SHOWN = 8  # numbers that are recorded themselves; more of them are recorded as 
 
 def numbers_of(tree: object) -> dict[str, object]:
     """The numbers of a pytree by their names, and the digest of its structure."""
-    leaves, structure = jax.tree.flatten_with_path(tree, is_leaf=lambda part: callable(_wrapped(part)))
+    leaves, structure = jax.tree.flatten_with_path(tree)
     found: dict[str, object] = {"structure": digest(without_addresses(str(structure)))}
     for path, leaf in leaves:
         name = jax.tree_util.keystr(path, simple=True, separator=".")
         found[name.removeprefix("manipulator.")] = recorded(leaf)
     return found
-
-
-def _wrapped(part: object) -> Any:
-    """The plain function in a pytree such as `robot.profiles.Function`, whose code counts; None without one."""
-    return getattr(part, "function", None)
 
 
 def recorded(value: object) -> object:
@@ -32,8 +26,6 @@ def recorded(value: object) -> object:
         return [recorded(item) for item in value]
     if isinstance(value, int | str):
         return value
-    if callable(value):
-        return code_digest(_wrapped(value) or value)
     try:
         numbers = np.asarray(value, np.float64)
     except (TypeError, ValueError):

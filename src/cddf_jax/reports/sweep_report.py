@@ -11,6 +11,7 @@ import numpy as np
 from rich import filesize
 
 from .. import figures
+from ..batch.chunks import count
 from ..batch.drafts import check_folder
 from ..batch.store import ZarrStore
 from ..batch.work import COPIES
@@ -64,11 +65,12 @@ def _check_places(places: Places, work: Sweep) -> None:
             with within(option):
                 check_folder(path.parent)
     layout = work.layout
-    size, most = layout.size * layout.bytes_each, min(NETCDF_MOST, int(work.allowed) // 2)  # it is held twice
+    outputs = layout.empty.data_vars
+    size, most = layout.size * layout.bytes_each, min(NETCDF_MOST, int(work.free) // 2)  # it is held twice
     if netcdf is not None and size > most:
         sizes = f"the answer has {filesize.decimal(size)}, {filesize.decimal(most)} can be written at once"
         raise InputError(f"--netcdf {netcdf}: {sizes}; use the Zarr store")
-    if csv is not None and not any(name not in VERDICTS and is_short(layout, name) for name in layout.variables):
+    if csv is not None and not any(name not in VERDICTS and is_short(array) for name, array in outputs.items()):
         raise InputError(f"--csv {csv}: a table takes no outputs along the body; add one such as tip_tension")
 
 
@@ -112,7 +114,7 @@ def _there_already(work: Sweep, store: Path) -> int:
     if not store.exists():
         return 0
     opened = ZarrStore(store, work.layout, work.identity, create=False)
-    return sum(opened.layout.count(index) for index in opened.layout.indices() if opened.has(index))
+    return sum(count(region) for region in opened.layout.regions() if opened.has(region))
 
 
 @stage("writing")
@@ -126,7 +128,7 @@ def write_exports(work: Sweep, answer: "xarray.Dataset", places: Places) -> None
 
 def sweep_report(work: Sweep, answer: "xarray.Dataset", summary: Json, name: str) -> Report:
     """The summary of `run_sweep` and the figures; it says why there is no figure."""
-    drawn, no_figure = [output for output in work.outputs if is_short(work.layout, output)], ""
+    drawn, no_figure = [output for output in work.outputs if is_short(answer[output])], ""
     made: dict[str, Content] = {}
     try:
         made |= {name: figures.sweep_figure(answer, drawn)} if drawn else {}
@@ -156,11 +158,11 @@ def _axes(work: Sweep) -> list[Json]:
 
 def _results_and_ranges(work: Sweep, answer: "xarray.Dataset") -> Json:
     """The number of solves by result, and the range of each output over the successful solves."""
-    layout, rank = work.layout, len(work.layout.shape)
+    layout, rank = work.layout, len(work.dimensions)
     counts = np.zeros(len(Status), int)
     outputs: dict[str, Json] = {
-        name: {"unit": variable.attrs.get("units"), "dims": variable.dims[rank:], "min": None, "max": None}
-        for name, variable in layout.variables.items()
+        str(name): {"unit": array.attrs.get("units"), "dims": array.dims[rank:], "min": None, "max": None}
+        for name, array in layout.empty.data_vars.items()
         if name not in VERDICTS
     }
     for block in blocks_of(layout, answer):
@@ -181,9 +183,9 @@ def rehearse(work: Sweep) -> Json:
     return {
         "solves": layout.size,
         "axes": _axes(work),
-        "outputs": [name for name in layout.variables if name not in VERDICTS],
+        "outputs": [name for name in layout.empty.data_vars if name not in VERDICTS],
         "bytes": layout.size * layout.bytes_each,
-        "memory": {"needed": COPIES * layout.bytes_each * layout.chunk_size, "allowed": work.allowed},
+        "memory": {"needed": COPIES * layout.bytes_each * layout.chunk_size, "free": work.free},
     }
 
 
@@ -211,7 +213,7 @@ def rehearsal_in_words(expected: Json) -> str:
         f"{expected['solves']:,} solves",
         *(f"{axis['dimension']}: {_axis_in_words(axis)}" for axis in expected["axes"]),
         f"answer: {', '.join(expected['outputs'])}; {filesize.decimal(expected['bytes'])} on disk at most",
-        f"memory: {filesize.decimal(memory['needed'])} needed, {filesize.decimal(int(memory['allowed']))} allowed",
+        f"memory: {filesize.decimal(memory['needed'])} needed, {filesize.decimal(int(memory['free']))} free",
     ]
     return "\n".join(lines)
 

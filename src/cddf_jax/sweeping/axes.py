@@ -8,7 +8,7 @@ import numpy as np
 from ..errors import InputError
 from ..numerics.given_numbers import check_numbers
 from ..robot.manipulator import KINEMATICS
-from ..statics.named_numbers import holds, stem_and_tendon
+from ..statics.named_numbers import holds
 
 if TYPE_CHECKING:
     from scipy.stats.qmc import QMCEngine
@@ -70,8 +70,6 @@ def _numbers(name: str, given: object) -> np.ndarray:
         raise InputError(f"sweep: the axis {name!r} must be a list of numbers, got {given!r}") from None
     if values.ndim != 1 or values.size == 0:
         raise InputError(f"sweep: the axis {name!r} must be a list of one number or more, got shape {values.shape}")
-    if stem_and_tendon(name.split(".")[0])[0] == "direction" and not np.all(np.abs(values) == 1):
-        raise InputError(f"sweep: the axis {name!r} must hold 1 for sliding in and -1 for sliding out, got {given!r}")
     if not np.all(np.isfinite(values)):
         place = int(np.argmin(np.isfinite(values)))
         raise InputError(f"sweep: the axis {name!r} holds {values[place]} at place {place}; leave it out")

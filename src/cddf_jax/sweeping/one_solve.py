@@ -1,7 +1,8 @@
 """The outputs of a sweep with their dimensions and units, and the function that computes them for one solve."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -9,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from ..batch.chunks import Coordinate, Variable
 from ..errors import within
 from ..history.history import ENERGIES, History
 from ..history.trace import trace
@@ -64,6 +64,7 @@ IN_SPACE: dict[str, tuple[str, ...]] = {
     "frame": ("point", "component", "axis"),
     "path": ("tendon", "point", "component"),
 }
+Coordinates = dict[str, Any]  # as xarray takes them
 OUTPUTS_OF = {2: OUTPUTS, 3: IN_SPACE}  # by the number of components of a position
 # outputs of a `History` by that number, and their dimensions besides those of the sweep
 OF_HISTORY: dict[int, dict[str, tuple[str, ...]]] = {
@@ -79,31 +80,22 @@ OF_HISTORY: dict[int, dict[str, tuple[str, ...]]] = {
 }
 
 
-def variable(
-    name: str,
-    array: jax.ShapeDtypeStruct,
-    shape: Mapping[str, int],
-    known: Mapping[str, tuple[str, ...]],
-    unit_by: str = "",
-    by: str = "",
-) -> Variable:
-    """The variable of an output with the shape and type of `array`, or of its derivative by the number `by`.
+def attributes(name: str, known: Collection[str], by: str = "", unit_by: str = "") -> dict[str, object]:
+    """What the dataset says of an output, or of its derivative by the number `by`, which has the unit `unit_by`.
 
-    `shape` is that of the sweep, `unit_by` the unit of `by`, and `known` the dimensions of all outputs but observables.
+    `known` are the names of all outputs but observables, whose units are not known.
     """
-    dims, unit, meaning = tuple(f"{name}_{i}" for i in range(array.ndim)), "", name
-    if name in known:
-        dims, unit, meaning = known[name], QUANTITIES[name].unit, QUANTITIES[name].words
+    unit, meaning = (QUANTITIES[name].unit, QUANTITIES[name].words) if name in known else ("", name)
     if by:
         unit, meaning = unit and quotient(unit, unit_by), f"{meaning}, by {by}"
     if name == SUCCESSFUL:
         meaning = "solved without any doubt"
-    attrs: dict[str, object] = {"long_name": meaning}
+    found: dict[str, object] = {"long_name": meaning}
     if unit:
-        attrs["units"] = unit
+        found["units"] = unit
     if name == RESULT:
-        attrs |= {"flag_values": [*range(len(Status))], "flag_meanings": " ".join(Status.__members__)}
-    return Variable((*shape, *dims), (*shape.values(), *array.shape), np.dtype(array.dtype), attrs)
+        found |= {"flag_values": [*range(len(Status))], "flag_meanings": " ".join(Status.__members__)}
+    return found
 
 
 def slope_name(output: str, by: str) -> str:
@@ -118,23 +110,23 @@ def quotient(unit: str, by: str) -> str:
     return f"{unit}/({by})" if " " in by or "/" in by else f"{unit}/{by}"
 
 
-def coordinates(dimensions: tuple[Dimension, ...], units: Mapping[str, str], variables: Mapping[str, Variable]) -> dict:
-    """The coordinates of the dataset."""
-    coords: dict[str, Coordinate] = {}
+def coordinates(
+    dimensions: tuple[Dimension, ...], units: Mapping[str, str], sizes: Mapping[Any, int]
+) -> dict[str, Any]:
+    """The coordinates of the dataset, as xarray takes them; `sizes` are those of its dimensions."""
+    coords: dict[str, Any] = {}
     for dimension in dimensions:
         for name, values in dimension.numbers.items():
-            coords[name] = ((dimension.name,), values, {"units": units[name]})
+            coords[name] = (dimension.name, values, {"units": units[name]})
         for name, values in dimension.options.items():
             labels = [value if isinstance(value, int | str) else repr(value) for value in values]
-            coords[name] = ((dimension.name,), np.asarray(labels), {})
-    sizes = {dim: size for v in variables.values() for dim, size in zip(v.dims, v.shape, strict=True)}
-    if "tendon" in sizes:
-        coords["tendon"] = (("tendon",), np.arange(sizes["tendon"]), {"long_name": "place among the tendons"})
-    if "component" in sizes:
-        coords["component"] = (("component",), np.array(COMPONENTS[: sizes["component"]]), {})
-    if "axis" in sizes:
-        coords["axis"] = (("axis",), np.array(AXES), {"long_name": "axis of the cross-section"})
-    return coords
+            coords[name] = (dimension.name, labels)
+    own = {
+        "tendon": (np.arange(sizes.get("tendon", 0)), {"long_name": "place among the tendons"}),
+        "component": ([*COMPONENTS[: sizes.get("component")]], {}),
+        "axis": ([*AXES], {"long_name": "axis of the cross-section"}),
+    }
+    return coords | {name: (name, *told) for name, told in own.items() if name in sizes}
 
 
 Numbers = Mapping[str, ArrayLike]

@@ -1,5 +1,6 @@
 """`sweep`: a solve for every combination of what varies, as a labelled dataset, in chunks that survive a stop."""
 
+import math
 import os
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -14,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
-from ..batch.chunks import Index, Layout, Variable, even_chunks
+from ..batch.chunks import Layout, Region, even_chunks, missing
 from ..batch.fingerprint import code_digest, numbers_of, recorded
 from ..batch.lanes import in_lanes
 from ..batch.work import COPIES, carry_out
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
 
 CHUNK = 131072  # solves
 CHUNK_IN_INCREMENTS = 512  # solves, each of which takes some 10,000 times as long
-SHARE = 0.25  # of the free memory
+SHARE = 0.25  # of the free memory, for the chunks at work
 DEFAULT_OUTPUTS = ("tip_tension", "tip_position", "tip_angle")
 Values = Sequence[object] | np.ndarray | jax.Array  # along one axis
 Observable = Callable[[Equilibrium], ArrayLike]
@@ -63,7 +64,6 @@ def sweep(
     nodes: int = 16,
     method: Method = FixedPoint(),
     out: str | os.PathLike[str] | None = None,
-    memory: float | None = None,
     chunk: int | None = None,
 ) -> "xarray.Dataset":
     """Solve for every combination of the values along the axes, on all devices and processes.
@@ -89,23 +89,21 @@ def sweep(
             derivative.
         out: path of a Zarr store. A sweep that was stopped, even by a kill, goes on where it was when it is started
             again. A store of another sweep is refused. Several processes (`jax.distributed`) share the work.
-        memory: bytes that may be used; a quarter of the free memory unless given.
         chunk: solves between two writes; chosen for speed and memory unless given.
 
     Returns:
         The outputs with the dimensions of the axes first, then "tendon", "point" (along the body), "component" (X, Y,
         and in space Z), and in space "axis" (x, y, z of the cross-section).
         `result` is the code of each solve (its attributes list the codes), and `successful` is true where it has no
-        doubt. A failed solve is NaN, and a doubtful one (crossing, inaccurate, unstable, ...) keeps its numbers. As in
-        `solve`, walls and clearances are not checked: call `manipulator.validate()`. Chunks, devices and processes
-        change numbers by 1e-13 relative at most.
+        doubt. A failed solve is NaN, such as one with a point load beside the body. A doubtful one (crossing,
+        inaccurate, unstable, ...) keeps its numbers. As in `solve`, walls and clearances are not checked: call
+        `manipulator.validate()`. Chunks, devices and processes change numbers by 1e-13 relative at most.
 
     With "length" everything along the body varies in proportion: tapers, knots, joints and anchors. All other numbers
     of a profile stay, and so do the places of point loads.
 
     Raises:
-        InputError: for an unknown axis, output or option, a point load that comes to lie beside the body, a store of
-            another sweep, or too little memory.
+        InputError: for an unknown axis, output or option, a store of another sweep, or too little memory.
     """
     work = Sweep(
         manipulator=manipulator,
@@ -120,7 +118,6 @@ def sweep(
         sensitivities=_names("sensitivities", sensitivities),
         nodes=nodes,
         method=method,
-        memory=memory,
         chunk_size=chunk,
     )
     return work.run(out)
@@ -148,7 +145,6 @@ class Sweep:
     sensitivities: tuple[str, ...] = ()
     nodes: int = 16
     method: Method = field(default_factory=FixedPoint)
-    memory: float | None = None
     chunk_size: int | None = None
 
     # --- what is asked for ------------------------------------------------------------------------
@@ -181,10 +177,8 @@ class Sweep:
     @property
     def known_outputs(self) -> Mapping[str, tuple[str, ...]]:
         """All possible outputs, and their dimensions besides those of the sweep."""
-        of_history, of_one_tendon = one_solve.OF_HISTORY, "num_turns"
-        if self.in_increments:
-            return {name: dims for name, dims in of_history[2].items() if name != of_one_tendon}
-        return (of_history if self.history else one_solve.OUTPUTS_OF)[self.case.components]
+        known = (one_solve.OF_HISTORY if self.history else one_solve.OUTPUTS_OF)[self.case.components]
+        return {name: dims for name, dims in known.items() if name != "num_turns" or not self.in_increments}
 
     @property
     def dtype(self) -> np.dtype:
@@ -192,35 +186,24 @@ class Sweep:
         return jax.dtypes.canonicalize_dtype(np.float64)
 
     @cached_property
-    def allowed(self) -> float:
-        """The memory that may be used, bytes."""
-        return SHARE * needed("psutil").virtual_memory().available if self.memory is None else float(self.memory)
+    def free(self) -> float:
+        """The free memory, bytes."""
+        return float(needed("psutil").virtual_memory().available)
 
     # --- the answer before it is computed -------------------------------------------------------------
 
     @cached_property
     def layout(self) -> Layout:
-        """The shape of the dataset, and its chunks."""
+        """The dataset before it is computed, and its chunks."""
         _check(self)
-        variables = self._variables()
-        units = {name: self.case.unit(name) for dimension in self.dimensions for name in dimension.numbers}
-        layout = Layout(
-            {dimension.name: dimension.size for dimension in self.dimensions},
-            tuple(1 for _ in self.dimensions),
-            one_solve.coordinates(self.dimensions, units, variables),
-            variables,
-            {"title": "cddf_jax sweep", "cddf_jax": version("cddf_jax"), "precision": self.dtype.name}
-            | ({PATH: self.path.name} if self.path else {}),
-        )
-        each = COPIES * layout.bytes_each * self.steps
-        if each > self.allowed:
-            raise InputError(f"sweep: one solve needs {each} bytes, {self.allowed:.3g} are allowed; raise memory=")
-        usual = CHUNK_IN_INCREMENTS if self.in_increments else CHUNK
-        most = max((self.chunk_size or min(usual, int(self.allowed // each) * self.steps)) // self.steps, 1)
+        layout = Layout(self._empty(), {dimension.name: 1 for dimension in self.dimensions})
+        at_once = SHARE * self.free // (COPIES * layout.bytes_each * self.steps)
+        usual = min(CHUNK_IN_INCREMENTS if self.in_increments else CHUNK, int(at_once) * self.steps)
+        most = max((self.chunk_size or usual) // self.steps, 1)
         sizes = [1 if d is self.path else d.size for d in self.dimensions]
         chunks = even_chunks(sizes, most, [bool(d.options) for d in self.dimensions])
-        whole = [d.size if d is self.path else c for d, c in zip(self.dimensions, chunks, strict=True)]
-        return replace(layout, chunks=tuple(whole))
+        whole = {d.name: d.size if d is self.path else c for d, c in zip(self.dimensions, chunks, strict=True)}
+        return replace(layout, chunks=whole)
 
     @property
     def pulled(self) -> list[Dimension]:
@@ -237,50 +220,59 @@ class Sweep:
     @property
     def in_increments(self) -> bool:
         """Whether a history has no exact answer."""
-        return bool(self.history) and (self.case.manipulator.num_tendons > 1 or self.case.loads is not None)
+        body = self.case.manipulator
+        return bool(self.history) and (body.num_tendons > 1 or self.case.loads is not None or body.has_memory)
 
     @property
     def steps(self) -> int:
         """The number of solves that are made together: the steps of a path."""
         return 1 if self.path is None else self.path.size
 
-    def _variables(self) -> dict[str, Variable]:
-        inputs = {n: np.zeros((), self.dtype) for d in self.dimensions if d is not self.path for n in d.numbers}
-        outputs, found = (*self.outputs, *self.observables), dict[str, Variable]()
-        shape = {dimension.name: dimension.size for dimension in self.dimensions}
+    def _empty(self) -> "xarray.Dataset":
+        """The dataset without results."""
+        sizes = {dimension.name: dimension.size for dimension in self.dimensions}
+        arrays: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, object]]] = {}
+        outputs, known = (*self.outputs, *self.observables), self.known_outputs
         # name, output and the number that it is differentiated by, in the order of the answer
         wanted = [(slope_name(n, by) if by else n, n, by) for n in outputs for by in ("", *self.sensitivities)]
         wanted += [(SUCCESSFUL, SUCCESSFUL, ""), (RESULT, RESULT, "")]
         for index in np.ndindex(*(d.size if d.options else 1 for d in self.dimensions)):
-            try:
-                with within("sweep", ValueError):
-                    shapes = jax.eval_shape(self.solver(index), inputs)
-            except TypeError as error:
-                raise InputError(str(error), where="sweep") from None
-            if self.path:  # the steps are a dimension of the sweep
-                shapes = {name: jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for name, x in shapes.items()}
-            for name, base, by in wanted:
-                if name not in shapes:  # a derivative of what is not real
-                    continue
-                unit_by = self.case.unit(by) if by else ""
-                new = one_solve.variable(base, shapes[name], shape, self.known_outputs, unit_by, by)
-                if found.setdefault(name, new).shape != new.shape:
+            shapes = self._shapes(dict(zip(sizes, index, strict=True)))
+            for name, output, by in (entry for entry in wanted if entry[0] in shapes):  # only what is real has slopes
+                own, dtype = shapes[name]
+                dims = (*sizes, *known.get(output, [f"{output}_{i}" for i in range(len(own))]))
+                attrs = one_solve.attributes(output, known, by, self.case.unit(by) if by else "")
+                new = dims, missing((*sizes.values(), *own), dtype), attrs
+                if arrays.setdefault(name, new)[1].shape != new[1].shape:
                     raise InputError(f"sweep: the length of {name} changes with the nodes; sweep 'nodes' without it")
-        return found
+        units = {name: self.case.unit(name) for dimension in self.dimensions for name in dimension.numbers}
+        attrs = {"title": "cddf_jax sweep", "cddf_jax": version("cddf_jax"), "precision": self.dtype.name}
+        empty = needed("xarray").Dataset(arrays, attrs=attrs | ({PATH: self.path.name} if self.path else {}))
+        return empty.assign_coords(one_solve.coordinates(self.dimensions, units, empty.sizes))
+
+    def _shapes(self, index: Mapping[str, int]) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
+        """Shape and type of each output of one solve, or of one step of a path, with the options at `index`."""
+        inputs = {n: np.zeros((), self.dtype) for d in self.dimensions if d is not self.path for n in d.numbers}
+        try:
+            with within("sweep", ValueError):
+                found = jax.eval_shape(self.solver(index), inputs)
+        except TypeError as error:
+            raise InputError(str(error), where="sweep") from None
+        first = 0 if self.path is None else 1  # the steps are a dimension of the sweep
+        return {name: (x.shape[first:], np.dtype(x.dtype)) for name, x in found.items()}
 
     @cached_property
     def identity(self) -> dict[str, object]:
         """All that the results depend on, JSON."""
         body = self.case.manipulator
         along = np.linspace(0.0, float(np.asarray(body.length)), 101)  # for profiles that are functions, without leaves
-        profiles = body.profiles.values()
         axes = {f"axis {d.name}": {k: recorded(v) for k, v in (d.numbers | d.options).items()} for d in self.dimensions}
         return {
             **numbers_of(self.case),
             **axes,
             "order of axes": [dimension.name for dimension in self.dimensions],
             # not compiled: the last digits would depend on the options of the compiler
-            "radii and offsets": recorded(np.stack([np.asarray(profile(along), float) for profile in profiles])),
+            "profiles": {n: recorded(np.asarray(profile(along), float)) for n, profile in body.profiles.items()},
             "kinematics": self.manipulator.kinematics,
             "history": self.history,
             **({"short_steps": self.short_steps} if self.in_increments else {}),
@@ -293,13 +285,9 @@ class Sweep:
             "version of cddf_jax": version("cddf_jax"),
         }
 
-    def solver(self, index: Index) -> OneSolve:
+    def solver(self, index: Mapping[str, int]) -> OneSolve:
         """One solve as a function of the numbers that vary, with the options at `index` along the dimensions."""
-        chosen = {
-            name: values[i]
-            for dimension, i in zip(self.dimensions, index, strict=True)
-            for name, values in dimension.options.items()
-        }
+        chosen = {name: values[index[d.name]] for d in self.dimensions for name, values in d.options.items()}
         kinematics = str(chosen.pop("kinematics", self.manipulator.kinematics))
         case, observed = one_solve.prepared(self.case, kinematics), tuple(self.observables.items())
         path = None
@@ -313,34 +301,25 @@ class Sweep:
 
     def run(self, out: str | os.PathLike[str] | None = None) -> "xarray.Dataset":
         """Compute the chunks that the store does not have yet, and return the whole dataset."""
-        done = carry_out("solving", self.layout, lambda: self.identity, self.chunk, out, self.allowed)
-        return done.dataset()
+        return carry_out(self.layout, lambda: self.identity, self.chunk, out, self.free)
 
-    def chunk(self, layout: Layout, index: Index) -> dict[str, np.ndarray]:
+    def chunk(self, layout: Layout, region: Region) -> dict[str, np.ndarray]:
         """The outputs of one chunk, in the shape of its region."""
-        region = layout.region(index)
-        options = tuple(r.start if d.options else 0 for d, r in zip(self.dimensions, region, strict=True))
-        along = [
-            np.zeros(1, int) if dimension is self.path else np.arange(r.start, r.stop)
-            for dimension, r in zip(self.dimensions, region, strict=True)
-        ]
-        places = np.meshgrid(*along, indexing="ij")
+        axes = [dimension for dimension in self.dimensions if dimension is not self.path]
+        sizes = [region[axis.name].stop - region[axis.name].start for axis in axes]
+        places = np.indices(sizes).reshape(len(axes), math.prod(sizes))
         numbers = {
-            name: values[place.ravel()].astype(self.dtype)
-            for dimension, place in zip(self.dimensions, places, strict=True)
-            for name, values in dimension.numbers.items()
-            if dimension is not self.path
+            name: values[region[axis.name]][place].astype(self.dtype)
+            for axis, place in zip(axes, places, strict=True)
+            for name, values in axis.numbers.items()
         }
-        most = layout.chunk_size // self.steps
-        outputs = in_lanes(self.solver(options), numbers, places[0].size, most, self.steps)
-        return {name: self._in_place(np.reshape(x, (*places[0].shape, *x.shape[1:]))) for name, x in outputs.items()}
-
-    def _in_place(self, output: np.ndarray) -> np.ndarray:
-        """An output of a chunk with the steps of a path moved to their dimension, which has the length 1 so far."""
+        solver = self.solver({name: along.start for name, along in region.items()})
+        found = in_lanes(solver, numbers, math.prod(sizes), layout.chunk_size // self.steps, self.steps)
+        shaped = {name: np.reshape(x, (*sizes, *x.shape[1:])) for name, x in found.items()}
         if self.path is None:
-            return output
-        steps, own = len(self.dimensions), self.dimensions.index(self.path)
-        return np.squeeze(np.swapaxes(output, own, steps), steps)
+            return shaped
+        along = self.dimensions.index(self.path)  # the steps come behind the axes so far
+        return {name: np.moveaxis(x, len(axes), along) for name, x in shaped.items()}
 
 
 # --- what is refused before anything is solved --------------------------------------------------------
@@ -403,8 +382,6 @@ def _check(work: Sweep) -> None:
             raise InputError(f"sweep: the observable {name!r} must be a function of an Equilibrium")
     if not work.outputs and not work.observables:
         raise InputError("sweep: nothing is asked for; name an output such as 'tip_tension'")
-    if not all(np.all(np.abs(stated) == 1) for stated in jax.tree.leaves(work.case.direction)):
-        raise InputError(f"sweep: direction is 1 for sliding in and -1 for sliding out, got {work.direction!r}")
     _check_names(work, work.case)
 
 
@@ -413,9 +390,7 @@ def _check_names(work: Sweep, case: Case) -> None:
     swept = {name for dimension in work.dimensions for name in dimension.numbers}
     for name in swept:
         case.number(name)
-    _check_places(work.dimensions, case)
-    for name, remedy in _idle(swept, case).items():
-        raise InputError(f"sweep: {name!r} has no effect here; {remedy}")
+    _check_effects(swept, case)
     if case.base_tension is None and "base_tension" not in swept:
         raise InputError("sweep: base_tension is neither given nor an axis; give one of the two")
     for name in work.sensitivities:
@@ -429,36 +404,15 @@ def _check_names(work: Sweep, case: Case) -> None:
             raise InputError(f"sweep: {name!r} and the axis {close[0]!r} overlap; differentiate by {close[0]!r} itself")
 
 
-def _check_places(dimensions: Sequence[Dimension], case: Case) -> None:
-    """Refuse axes along which a point load comes to lie beside the body, in any combination of them."""
-    along = {name: (d.name, values) for d in dimensions for name, values in d.numbers.items()}
-    length = np.reshape(case.manipulator.length, 1)
-    for i, point in enumerate(() if case.loads is None else case.loads.points):
-        name = f"loads.points.{i}.arc_length"
-        dimension, places = along.get(name, ("", np.reshape(point.arc_length, 1)))
-        same, lengths = along.get("length", ("", length))
-        places, lengths = (places, lengths) if same == dimension else map(np.ravel, np.meshgrid(places, lengths))
-        beside = (places <= 0) | (places > lengths)
-        if np.any(beside):
-            k = int(np.argmax(beside))
-            there = case.with_numbers({name: places[k], "length": lengths[k]})
-            with within("sweep"):
-                check_loads(there.manipulator, there.loads)
-
-
-def _idle(swept: set[str], case: Case) -> dict[str, str]:
-    """Numbers that seem to have no effect only because another one is given or missing, each with the remedy."""
-    found: dict[str, str] = {}
+def _check_effects(swept: set[str], case: Case) -> None:
+    """Refuse numbers that have no effect, only because another one is given or missing."""
     body, loads = case.manipulator, case.loads
     for name in ("friction_coefficient", "drag"):
         if name in swept and all(getattr(tendon, name) is not None for tendon in body.tendons):
-            found[name] = f"every tendon has its own; let 'tendons.0.{name}' vary"
-    gravity = {name for name in swept if name.startswith("loads.gravity.")}
-    masses = {name for name in swept if name.split(".")[0] in ("density", "mass_per_length", "point_masses")}
+            raise InputError(f"sweep: {name!r} has no effect here; let 'tendons.0.{name}' vary, as each has its own")
+    gravity = any(name.startswith("loads.gravity.") for name in swept)
+    masses = [name for name in swept if name.split(".")[0] in ("density", "mass_per_length", "point_masses")]
     if masses and not gravity and (loads is None or not np.any(np.asarray(loads.gravity))):
-        found[min(masses)] = "there is no gravity; give loads=Loads(gravity=(0.0, -9.81))"
-    if gravity and not masses and not body.has_mass:
-        found[min(gravity)] = "the body has no weight; give it density, mass_per_length or point_masses"
-    if not masses and not gravity:
-        check_loads(body, loads)
-    return found
+        raise InputError(f"sweep: {min(masses)!r} has no effect here; give loads=Loads(gravity=(0.0, -9.81))")
+    if not masses:
+        check_loads(body, Loads(gravity=(0.0, 1.0)) if gravity else loads)
