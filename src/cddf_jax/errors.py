@@ -31,13 +31,16 @@ class InputError(ValueError):
         return InputError(self.what, where=where, remedy=self.remedy)
 
 
+Kind = type[Exception] | tuple[type[Exception], ...]
+
+
 @contextmanager
-def within(place: str | os.PathLike[str], kind: type[ValueError] = InputError) -> Iterator[None]:
+def within(place: str | os.PathLike[str], kind: Kind = InputError) -> Iterator[None]:
     """Errors in the block name the place in which they arose, such as a file.
 
     Args:
         place: put before the places that an error has already.
-        kind: of errors; `ValueError` if the block calls code that raises no `InputError`.
+        kind: of errors, one or several; `ValueError` if the block calls code that raises no `InputError`.
 
     Raises:
         InputError: for any error of that kind.

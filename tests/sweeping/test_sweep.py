@@ -405,7 +405,7 @@ BAD = {
     "one tension of two": (
         {"base_tension_1": [1.0]},
         {"manipulator": PAIR},
-        "of 'base_tension_2' is neither given nor",
+        "'base_tension_2' is neither given nor an axis",
     ),
     "no number": ({"outer_radius": [1.0]}, {"base_tension": 1.0}, r"not one number.*outer_radius.tip"),
     "words": ({"base_tension": ["much"]}, {}, "the axis 'base_tension': text cannot be used, got 'much'"),
@@ -418,7 +418,7 @@ BAD = {
     "reserved": ({"tendon": [1.0]}, {}, "rename it"),
     "no tension": ({"youngs_modulus": [1e6]}, {}, "neither given nor an axis"),
     "nodes": ({"nodes": [2]}, {"base_tension": 1.0}, "nodes must be a whole number of 4 or more, got 2"),
-    "kinematics": ({"kinematics": ["exakt"]}, {"base_tension": 1.0}, "'exakt' is not known"),
+    "kinematics": ({"kinematics": ["exakt"]}, {"base_tension": 1.0}, "kinematics must be one of .* got 'exakt'"),
     "method": ({"method": ["FixedPoint"]}, {"base_tension": 1.0}, "method must be one such as"),
     "output": ({"base_tension": [1.0]}, {"outputs": ["tip_tensions"]}, "'tip_tensions' is not an output"),
     "no output": ({"base_tension": [1.0]}, {"outputs": []}, "nothing is asked for"),

@@ -18,7 +18,7 @@ Region = dict[str, slice]  # of a chunk, by dimension
 class Layout:
     """A dataset before it is computed, and its chunks."""
 
-    empty: "xarray.Dataset"  # its arrays are `missing`, and are written in this order
+    empty: "xarray.Dataset"  # its arrays are `not_computed`, and are written in this order
     chunks: dict[str, int]  # along the dimensions that all arrays have first, by name and in their order
 
     @property
@@ -42,7 +42,7 @@ class Layout:
         return (dict(zip(self.chunks, places, strict=True)) for places in itertools.product(*along))
 
 
-def missing(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
+def not_computed(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
     """An array in which nothing has been computed yet: NaN, false or -1 everywhere, in no more memory than one."""
     return np.broadcast_to(np.array({"f": np.nan, "b": False}.get(dtype.kind, -1), dtype), shape)
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import InputError, needed
-from .chunks import Layout, Region, missing
+from .chunks import Layout, Region, not_computed
 from .drafts import in_one_step
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ def _create(path: Path, layout: Layout, identity: Mapping[str, object]) -> None:
                 shape=array.shape,
                 chunks=(*layout.chunks.values(), *(max(size, 1) for size in own)),
                 dtype=array.dtype,
-                fill_value=missing((), array.dtype)[()],
+                fill_value=not_computed((), array.dtype)[()],
                 dimension_names=array.dims,
                 attributes=array.attrs,
             )

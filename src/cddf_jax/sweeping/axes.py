@@ -7,7 +7,6 @@ import numpy as np
 
 from ..errors import InputError
 from ..numerics.given_numbers import check_numbers
-from ..robot.manipulator import KINEMATICS
 from ..statics.named_numbers import holds
 
 if TYPE_CHECKING:
@@ -81,9 +80,6 @@ def _options(name: str, given: object) -> tuple[object, ...]:
     values = tuple(value.item() if isinstance(value, np.generic) else value for value in values)
     if not values:
         raise InputError(f"sweep: the axis {name!r} must be a list of one value or more, got {given!r}")
-    for value in values if name == "kinematics" else ():
-        if value not in KINEMATICS:
-            raise InputError(f"sweep: kinematics {value!r} is not known; there are {', '.join(KINEMATICS)}")
     return values
 
 

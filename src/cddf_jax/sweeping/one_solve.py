@@ -87,7 +87,9 @@ def attributes(name: str, known: Collection[str], by: str = "", unit_by: str = "
     """
     unit, meaning = (QUANTITIES[name].unit, QUANTITIES[name].words) if name in known else ("", name)
     if by:
-        unit, meaning = unit and quotient(unit, unit_by), f"{meaning}, by {by}"
+        meaning = f"{meaning}, by {by}"
+    if unit and by and unit_by != "1":
+        unit += f"/({unit_by})" if " " in unit_by or "/" in unit_by else f"/{unit_by}"
     if name == SUCCESSFUL:
         meaning = "solved without any doubt"
     found: dict[str, object] = {"long_name": meaning}
@@ -101,13 +103,6 @@ def attributes(name: str, known: Collection[str], by: str = "", unit_by: str = "
 def slope_name(output: str, by: str) -> str:
     """The name of the derivative of an output."""
     return f"{output}_by_{by}"
-
-
-def quotient(unit: str, by: str) -> str:
-    """The unit of a derivative: "N" by "Pa" is "N/Pa"."""
-    if by == "1":
-        return unit
-    return f"{unit}/({by})" if " " in by or "/" in by else f"{unit}/{by}"
 
 
 def coordinates(

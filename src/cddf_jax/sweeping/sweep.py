@@ -2,7 +2,6 @@
 
 import math
 import os
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
@@ -15,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
-from ..batch.chunks import Layout, Region, even_chunks, missing
+from ..batch.chunks import Layout, Region, even_chunks, not_computed
 from ..batch.fingerprint import code_digest, numbers_of, recorded
 from ..batch.lanes import in_lanes
 from ..batch.work import COPIES, carry_out
@@ -44,9 +43,6 @@ SHARE = 0.25  # of the free memory, for the chunks at work
 DEFAULT_OUTPUTS = ("tip_tension", "tip_position", "tip_angle")
 Values = Sequence[object] | np.ndarray | jax.Array  # along one axis
 Observable = Callable[[Equilibrium], ArrayLike]
-_OF_SPACE = re.compile(  # components that only space has
-    r"loads\.((tip_force|gravity|points\.\d+\.force)\.2|(tip_moment|points\.\d+\.moment)\.[0-2])"
-)
 
 
 def sweep(
@@ -153,17 +149,13 @@ class Sweep:
     def case(self) -> Case:
         """The case to solve; axes replace some of its numbers."""
         names = [*self.sensitivities, *(name for dimension in self.dimensions for name in dimension.numbers)]
-        loads = self.loads
-        if loads is None and any(name.startswith("loads.") for name in names):
-            loads = Loads()
-        if loads is not None:
-            loads = loads.with_components(3 if any(map(_OF_SPACE.fullmatch, names)) else self.manipulator.components)
+        loads = Loads() if self.loads is None and any(name.startswith("loads.") for name in names) else self.loads
+        loads = None if loads is None else loads.with_components(max(loads.components, self.manipulator.components))
         tension, count = self.base_tension, self.manipulator.num_tendons
         own = [of_tendon("base_tension", i) for i in range(count)]
         if tension is None and not set(own).isdisjoint(names):
-            if missing := [name for name in own if name not in names]:
-                remedy = f"give base_tension= with a number for each tendon, or the axis {missing[0]!r} as well"
-                raise InputError(f"sweep: the tension of {missing[0]!r} is neither given nor an axis; {remedy}")
+            if lost := [name for name in own if name not in names]:
+                raise InputError(f"sweep: {lost[0]!r} is neither given nor an axis; give base_tension= or this axis")
             tension = np.zeros(count)
         tension = tuple(tension) if isinstance(tension, list) else tension
         if any(holds("base_tension", name) for name in names) and isinstance(tension, int | float):
@@ -242,7 +234,7 @@ class Sweep:
                 own, dtype = shapes[name]
                 dims = (*sizes, *known.get(output, [f"{output}_{i}" for i in range(len(own))]))
                 attrs = one_solve.attributes(output, known, by, self.case.unit(by) if by else "")
-                new = dims, missing((*sizes.values(), *own), dtype), attrs
+                new = dims, not_computed((*sizes.values(), *own), dtype), attrs
                 if arrays.setdefault(name, new)[1].shape != new[1].shape:
                     raise InputError(f"sweep: the length of {name} changes with the nodes; sweep 'nodes' without it")
         units = {name: self.case.unit(name) for dimension in self.dimensions for name in dimension.numbers}
@@ -253,11 +245,8 @@ class Sweep:
     def _shapes(self, index: Mapping[str, int]) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
         """Shape and type of each output of one solve, or of one step of a path, with the options at `index`."""
         inputs = {n: np.zeros((), self.dtype) for d in self.dimensions if d is not self.path for n in d.numbers}
-        try:
-            with within("sweep", ValueError):
-                found = jax.eval_shape(self.solver(index), inputs)
-        except TypeError as error:
-            raise InputError(str(error), where="sweep") from None
+        with within("sweep", (ValueError, TypeError)):
+            found = jax.eval_shape(self.solver(index), inputs)
         first = 0 if self.path is None else 1  # the steps are a dimension of the sweep
         return {name: (x.shape[first:], np.dtype(x.dtype)) for name, x in found.items()}
 
@@ -290,9 +279,7 @@ class Sweep:
         chosen = {name: values[index[d.name]] for d in self.dimensions for name, values in d.options.items()}
         kinematics = str(chosen.pop("kinematics", self.manipulator.kinematics))
         case, observed = one_solve.prepared(self.case, kinematics), tuple(self.observables.items())
-        path = None
-        if self.path is not None:
-            path = {name: jnp.asarray(values) for name, values in self.path.numbers.items()}
+        path = None if self.path is None else jax.tree.map(jnp.asarray, self.path.numbers)
         asked = self.outputs, observed, self.sensitivities
         one = OneSolve(case, path, *asked, self.nodes, self.short_steps, self.method)
         return replace(one, **chosen)
