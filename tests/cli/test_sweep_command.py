@@ -65,7 +65,8 @@ def read(*over, base_tension=None, body=None, **asked):
 
 def test_a_sweep_with_all_its_files_and_once_more_after_a_stop(run, tmp_path, monkeypatch):
     exports = ("--netcdf", "tables/sweep.nc", "--csv", "tables/sweep.csv")
-    outputs = ("--output", "tip_tension,tip_position", "--chunk", 8)
+    outputs = ("--output", "tip_tension,tip_position")
+    monkeypatch.setattr("cddf_jax.sweeping.sweep.CHUNK", 8)
     arguments = (PAPER, *TENSIONS, *FRICTIONS, *outputs, "--out", "sweep.zarr", *exports)
     code, text, error = run(*arguments, "--json")
     assert (code, error) == (0, "")
@@ -184,7 +185,7 @@ def test_the_summary_states_the_loads(tmp_path, monkeypatch):
 TASK = """
 robot = "{robot}"
 output = "tip_tension"
-chunk = 8
+samples = 5
 dry_run = true
 
 [over]
@@ -198,14 +199,13 @@ youngs_modulus = "1.2MPa:1.6MPa"
 
 def test_a_task_file_gives_the_options_and_the_command_line_overrides_it(run, tmp_path):
     (tmp_path / "task.toml").write_text(TASK.format(robot=PAPER))
-    code, text, error = run("--task", "task.toml", "--samples", 3, "--chunk", 7, "--json")
+    code, text, error = run("--task", "task.toml", "--samples", 3, "--json")
     assert (code, error) == (0, "")
     told = json.loads(text)
     assert [(axis["name"], axis["count"]) for axis in told["axes"]] == [
         *(("base_tension", 5), ("kinematics", 2), ("youngs_modulus", 3)),
     ]
     assert told["outputs"] == ["tip_tension"]
-    assert told["memory"]["needed"] <= 3 * 7 * told["bytes"] / told["solves"]
 
 
 def test_options_that_may_be_repeated_may_also_be_one_text(run, tmp_path):
@@ -235,8 +235,9 @@ def test_task_files_that_are_refused(fails, tmp_path, task, message):
 # --- dry runs ------------------------------------------------------------------------------------
 
 
-def test_a_dry_run_writes_nothing(run, tmp_path):
-    arguments = (PAPER, *TENSIONS, *FRICTIONS, "--over", "nodes=8,16", "--chunk", 10, "--dry-run")
+def test_a_dry_run_writes_nothing(run, tmp_path, monkeypatch):
+    monkeypatch.setattr("cddf_jax.sweeping.sweep.CHUNK", 10)
+    arguments = (PAPER, *TENSIONS, *FRICTIONS, "--over", "nodes=8,16", "--dry-run")
     code, text, error = run(*arguments, "--out", "new/sweep.zarr", "--csv", "new/table.csv")
     assert (code, error) == (0, "")
     assert not list(tmp_path.iterdir())
@@ -320,8 +321,8 @@ def test_a_sweep_over_axes_that_are_one(run):
 
 def test_samples_are_those_of_the_library():
     sample = ["youngs_modulus=1.2MPa:1.6MPa", "friction_coefficient=0.1:0.6"]
-    *_, axis = read("base_tension=5N,10N", sample=sample, samples=50, seed=7).dimensions
-    expected = cddf.latin_hypercube({"youngs_modulus": (1.2e6, 1.6e6), "friction_coefficient": (0.1, 0.6)}, 50, 7)
+    *_, axis = read("base_tension=5N,10N", sample=sample, samples=50).dimensions
+    expected = cddf.latin_hypercube({"youngs_modulus": (1.2e6, 1.6e6), "friction_coefficient": (0.1, 0.6)}, 50)
     assert axis.name == "sample"
     for name, values in expected.items():
         np.testing.assert_array_equal(axis.numbers[name], values)
@@ -335,7 +336,6 @@ WRONG = [
     (("--over", "base_tension"), "--over 'base_tension': write for example "),
     (("--over", "base_tension=5:85:17 N"), "--over base_tension: write first, last and how many, 2 or more, as in "),
     (("--over", "base_tension=5N:85N:1"), "--over base_tension: write first, last and how many"),
-    (("--over", "base_tension=5N:5N:3"), "--over base_tension: first and last are the same"),
     ((*TENSIONS, *TENSIONS), "--over base_tension is given twice; leave one out"),
     ((*TENSIONS, "--together", "base_tension"), "--together 'base_tension': name two axes or more, each once, as in "),
     (
@@ -351,9 +351,8 @@ WRONG = [
     ((*TENSIONS, "--over", "nodes=8:16:2"), "--over nodes: write whole numbers as in nodes=8,16"),
     ((*TENSIONS, "--over", "method=literal"), "--over method: the command line takes no methods"),
     ((*TENSIONS, "--sample", "youngs_modulus=1MPa:2MPa"), "--sample needs the number of samples"),
-    ((*TENSIONS, "--samples", "5"), "--samples 5: nothing is sampled"),
     ((*TENSIONS, "--samples", "4", "--sample", "youngs_modulus=1MPa"), "--sample youngs_modulus: write least and "),
-    ((*TENSIONS, "--samples", "4", "--sample", "nodes=8:16"), "--sample nodes: only numbers have a range"),
+    ((*TENSIONS, "--samples", "4", "--sample", "nodes=8:16"), "'nodes' is not a number of the body"),
     ((*TENSIONS, "--output", "tip_tention"), "sweep: 'tip_tention' is not an output"),
     (("--over", "base_tension=1N:2N:1000000000000"), "--over base_tension: 1000000000000 values are more than"),
     ((*TENSIONS, "--gravity", "0, -9.81 m/s^2"), "loads.gravity: the body has no weight"),

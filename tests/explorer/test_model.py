@@ -295,10 +295,7 @@ def test_a_port_in_use_is_said(cddf_command):
 
 
 def test_without_panel_the_remedy_is_said(cddf_command, monkeypatch):
-    for name in ("server", "view"):
-        monkeypatch.delitem(sys.modules, f"cddf_jax.explorer.{name}", raising=False)
-        monkeypatch.delattr(f"cddf_jax.explorer.{name}", raising=False)
     monkeypatch.setitem(sys.modules, "panel", None)
     code, _, error = cddf_command("explore", "--no-browser")
     assert code == 2
-    assert error == "error: explore needs the package panel; install it with pip install 'cddf-jax[explore]'\n"
+    assert error == "error: this needs panel; install it with: pip install 'cddf-jax[explore]'\n"

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from ..errors import InputError, in_utf8
+from ..errors import in_utf8, needed
 from ..progress import stage
 from . import options
 
@@ -35,14 +35,10 @@ def explore(
     from .. import application
 
     application.configure_jax()
-    try:
-        with stage("loading"):
-            from ..explorer import server
-            from ..files.manipulator_file import RobotFile
-    except ModuleNotFoundError as error:
-        if error.name not in ("panel", "bokeh"):
-            raise
-        raise InputError("explore needs the package panel; install it with pip install 'cddf-jax[explore]'") from None
+    with stage("loading"):
+        needed("panel", "explore")
+        from ..explorer import server
+        from ..files.manipulator_file import RobotFile
 
     paper = server.papers_manipulator()
     paper = paper if kinematics is None else replace(paper, kinematics=kinematics)

@@ -190,17 +190,17 @@ def give(
         stop(report.failure, code)
 
 
-def read_robot(robot: Path, kinematics: Kinematics | None, configure: Callable[[], None] | None = None) -> "RobotFile":
+def read_robot(robot: Path, kinematics: Kinematics | None) -> "RobotFile":
     """Set JAX up and read the manipulator's file; how a table of cross-sections was read is noted on standard error.
 
-    `kinematics` stand in place of those of the file. `configure` sets JAX up, `application.configure_jax` unless given.
+    `kinematics` stand in place of those of the file.
     """
     from dataclasses import replace
 
     from .. import application
 
     with stage("loading"):
-        (configure or application.configure_jax)()
+        application.configure_jax()
         from ..files.cross_sections import in_one_line
         from ..files.manipulator_file import read_robot_file
 

@@ -17,13 +17,6 @@ def plan(
     column: options.Column = None,
     average_holds: options.AverageHolds = False,
     tension: Annotated[str, typer.Option(help="Largest base tension of the candidates, with its unit.")] = "85 N",
-    displacement: Annotated[
-        str | None,
-        typer.Option(
-            help="Largest displacement of the candidates, with its unit, of a bench driven by displacement. Without it "
-            "that of such tables; else the candidates are driven by base tension."
-        ),
-    ] = None,
     free: options.Free = None,
     tip_force: options.TipForce = None,
     tip_moment: options.TipMoment = None,
@@ -45,8 +38,9 @@ def plan(
 ) -> None:
     """Which measurement to take next: what each candidate would add to what is known.
 
-    Candidates are the usual measurements, such as a pulley test, tip tensions and tip angles. For candidates of your
-    own use cddf_jax.plan in Python.
+    Candidates are the usual measurements, such as a pulley test, tip tensions and tip angles. They are driven by
+    displacement, up to the largest of the data, if the data are. For candidates of your own use cddf_jax.plan in
+    Python.
     """
     read = options.read_robot(robot, kinematics)
     manipulator = read.manipulator
@@ -70,10 +64,6 @@ def plan(
         known = fit(manipulator, tables, names, setting=setting, history=followed, leave_out=rows)
     driven = [table[name] for table in tables for name in set_by(table.columns) if kind_of_set(name) == "displacement"]
     furthest = max((float(max(values)) for values in driven), default=0.0)
-    if displacement is not None:
-        furthest = quantity(displacement, "length", "--displacement")
-        if not furthest > 0:
-            raise InputError(f"--displacement {displacement}: give a displacement above 0 mm")
     candidates = standard_candidates(manipulator, largest, setting, furthest if furthest > 0 else None)
     found = plan(known, candidates, names, setting=setting, criterion=criterion, num=num)
     options.give(plan_report(found), out, as_json=as_json)

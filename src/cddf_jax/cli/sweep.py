@@ -113,13 +113,11 @@ def sweep(
     over: Over = None,
     together: Together = None,
     sample: Sample = None,
-    samples: Annotated[int | None, typer.Option(help="Number of samples, for --sample.", min=1)] = None,
-    seed: Annotated[int, typer.Option(help="Seed of the samples.", min=0)] = 0,
+    samples: Annotated[int, typer.Option(help="Number of samples, for --sample.", min=0)] = 0,
     history: History = False,
     history_axis: HistoryAxis = None,
     short_steps: options.ShortSteps = 16,
     base_tension: BaseTension = None,
-    direction: options.Direction = None,
     tip_force: options.TipForce = None,
     tip_moment: options.TipMoment = None,
     gravity: options.Gravity = None,
@@ -127,7 +125,6 @@ def sweep(
     kinematics: options.KinematicsOption = None,
     nodes: options.Nodes = 16,
     output: Output = ["tip_tension,tip_position,tip_angle"],  # noqa: B006  # it is only read
-    chunk: Annotated[int | None, typer.Option(help="Solves between two writes.", min=1, show_default="fits")] = None,
     netcdf: Annotated[Path | None, typer.Option(help="Write a NetCDF file too, such as sweep.nc.")] = None,
     csv: Annotated[
         Path | None, typer.Option(help="Write a table too, such as sweep.csv, with a row for each solve.")
@@ -149,11 +146,12 @@ def sweep(
     if kinematics is not None and any(text.partition("=")[0].strip() == "kinematics" for text in over or []):
         raise InputError("kinematics is given by --kinematics and varies too; leave one out")
 
-    read = options.read_robot(robot, kinematics, _configure_distributed if distributed else _configure)
     with stage("loading"):
-        from ..files.actuation import read_directions
+        _configure(distributed=distributed)
         from ..reports import sweep_report
         from . import sweep_options
+
+    read = options.read_robot(robot, kinematics)
     if not sweep_report.is_first_process():
         SHOWN.set(None)  # only the first process shows progress
 
@@ -163,15 +161,12 @@ def sweep(
         together or [],
         sample or [],
         samples,
-        seed,
         base_tension or [],
         loads=options.loads_of(read, tip_force, tip_moment, gravity, point_load),
         history=history_axis or history,
         short_steps=short_steps,
-        direction=read_directions(direction, read.manipulator),
         outputs=tuple(dict.fromkeys(name.strip() for text in output for name in text.split(","))),
         nodes=nodes,
-        chunk_size=chunk,
     )
     if dry_run:
         expected = sweep_report.rehearse(work)
@@ -191,16 +186,13 @@ def sweep(
         options.stop(f"interrupted; {remedy}", options.INTERRUPTED)
 
 
-def _configure() -> None:
+def _configure(*, distributed: bool) -> None:
+    """Set JAX up on all cores, perhaps as one of several processes."""
     from .. import application
 
-    application.configure_jax(all_cores=True)
-
-
-def _configure_distributed() -> None:
-    """Set JAX up as one of several processes."""
-    from .. import application
-
+    if not distributed:
+        application.configure_jax(all_cores=True)
+        return
     # what libraries print when processes meet goes to standard error, the answer does not
     sys.stdout.flush()
     ours = os.dup(sys.stdout.fileno())

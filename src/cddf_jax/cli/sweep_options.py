@@ -25,8 +25,7 @@ def read_sweep(
     over: Sequence[str],
     together: Sequence[str] = (),
     sample: Sequence[str] = (),
-    samples: int | None = None,
-    seed: int = 0,
+    samples: int = 0,
     base_tension: Sequence[str] = (),
     **given: Any,
 ) -> Sweep:
@@ -39,14 +38,9 @@ def read_sweep(
     ranges = read_all(sample, "--sample", SAMPLE, lambda name, text: text)
     if not axes and not ranges:
         raise InputError(f"nothing varies; give --over {OVER} or --sample")
-    if ranges and samples is None:
+    if ranges and not samples:
         raise InputError("--sample needs the number of samples; give for example --samples 1000")
-    if samples is not None and not ranges:
-        raise InputError(f"--samples {samples}: nothing is sampled; give for example --sample {SAMPLE}")
-    for name in ranges:
-        if name in OPTIONS:
-            raise InputError(f"--sample {name}: only numbers have a range; write --over {name}=, with a list")
-    names = [name for name in (*axes, *ranges) if name not in OPTIONS]
+    names = [*(name for name in axes if name not in OPTIONS), *ranges]
     tensions = read_actuation(base_tension, manipulator) if base_tension else None
     draft = Sweep(
         manipulator=manipulator,
@@ -64,7 +58,7 @@ def read_sweep(
     joined = _joined(values, together)
     if ranges:
         limits = {name: _limits(name, text, dimension_of[name]) for name, text in ranges.items()}
-        joined["sample"] = latin_hypercube(limits, samples or 0, seed)
+        joined["sample"] = latin_hypercube(limits, samples)
     return replace(draft, dimensions=dimensions_of(joined))
 
 
@@ -98,8 +92,6 @@ def _range(name: str, text: str, dimension: units.Dimension) -> np.ndarray:
     if int(count) > MOST:
         raise InputError(f"{what}: {count} values are more than the {MOST:,} that one axis may have; give fewer")
     start, stop = (units.quantity(end.strip(), dimension, what) for end in ends.split(":", 1))
-    if start == stop:
-        raise InputError(f"{what}: first and last are the same, got {text!r}; give two different ones")
     return np.linspace(start, stop, int(count))
 
 

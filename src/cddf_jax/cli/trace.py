@@ -105,8 +105,6 @@ def read_paths(
         )
     if count > 1 and "angle" in driven:
         raise InputError("--path: a tip angle drives one tendon alone; give tensions or displacements")
-    if not any(map(any, paths)):
-        raise InputError(f"--path {', '.join(texts)}: nothing moves; give a value other than 0")
     return paths, driven
 
 
@@ -118,7 +116,7 @@ def read_path(
     How a file was read is noted on standard error.
     """
     from ..measurements.path_file import read_path_file
-    from ..units import series, written
+    from ..units import series
 
     if text.strip().lower().endswith(TABLES):
         found = read_path_file(text.strip(), columns)
@@ -133,11 +131,6 @@ def read_path(
     else:
         values, driven = series(text, ("force", "length", "angle"), "--path")
         described = set()
-    for step, value in enumerate(values, 1):
-        if driven == "force" and value < 0:
-            raise InputError(
-                f"--path, step {step}: a tendon cannot push, got {written(value, 'force')}; give 0 N or more"
-            )
     return values, driven, described
 
 
