@@ -64,7 +64,7 @@ def traced(
 
     Args:
         paths: one for each tendon, all of one length: base tensions, N, displacements of the tendon, m, or of one
-            tendon alone tip angles, rad, after each step; not all 0.
+            tendon alone tip angles, rad, after each step.
         driven: what each of them is, "force", "length" or "angle".
         loads: that act before the first step, and stay constant.
         nodes: as `trace` takes them.

@@ -4,7 +4,6 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from difflib import get_close_matches
 from functools import cached_property
 from importlib.metadata import version
 from typing import TYPE_CHECKING
@@ -32,7 +31,7 @@ from ..statics.named_numbers import Case, holds, of_tendon, stem_and_tendon
 from ..statics.targets import Actuation, Target, TipPosition
 from . import one_solve
 from .axes import ALONG_A_PATH, OPTIONS, PATH, RESERVED, Dimension, dimensions_of
-from .one_solve import IN_SPACE, OUTPUTS, RESULT, SUCCESSFUL, OneSolve, slope_name
+from .one_solve import RESULT, SUCCESSFUL, OneSolve, slope_name
 
 if TYPE_CHECKING:
     import xarray
@@ -359,24 +358,18 @@ def _check(work: Sweep) -> None:
         if name not in work.known_outputs:
             of = " of a history" if work.history else " in space" if work.case.in_space else ""
             raise InputError(f"sweep: {name!r} is not an output{of}; there are {', '.join(work.known_outputs)}")
-    for name in (*work.outputs, *work.observables):
         if name in known:
             raise InputError(f"sweep: {name!r} is an axis and an output; take it out of the outputs")
-    for name in work.observables:
-        if name in OUTPUTS | IN_SPACE or name in RESERVED or "/" in name:
-            raise InputError(f"sweep: no observable can be called {name!r}; give it another name")
-        if not callable(work.observables[name]):
-            raise InputError(f"sweep: the observable {name!r} must be a function of an Equilibrium")
-    if not work.outputs and not work.observables:
-        raise InputError("sweep: nothing is asked for; name an output such as 'tip_tension'")
+    taken = {*known, *work.known_outputs, *RESERVED}
+    for name, function in work.observables.items():
+        if name in taken or "/" in name or not callable(function):
+            raise InputError(f"sweep: the observable {name!r} must be a function, with a name that nothing else has")
     _check_names(work, work.case)
 
 
 def _check_names(work: Sweep, case: Case) -> None:
     """Refuse names that are not numbers of the case, and numbers that have no effect."""
     swept = {name for dimension in work.dimensions for name in dimension.numbers}
-    for name in swept:
-        case.number(name)
     _check_effects(swept, case)
     if case.base_tension is None and "base_tension" not in swept:
         raise InputError("sweep: base_tension is neither given nor an axis; give one of the two")
@@ -385,10 +378,8 @@ def _check_names(work: Sweep, case: Case) -> None:
             raise InputError(f"sweep: nothing can be differentiated by {name!r}; take it out of the sensitivities")
         if case.number(name) is None and name not in swept:
             raise InputError(f"sweep: the case has no {name!r} to differentiate by; give it a value")
-        wider = [other for other in swept if holds(other, name) or holds(name, other)]
-        if wider:
-            close = get_close_matches(name, wider, 1) or wider
-            raise InputError(f"sweep: {name!r} and the axis {close[0]!r} overlap; differentiate by {close[0]!r} itself")
+        if wider := [other for other in swept if holds(other, name) or holds(name, other)]:
+            raise InputError(f"sweep: {name!r} and the axis {wider[0]!r} overlap; differentiate by {wider[0]!r} itself")
 
 
 def _check_effects(swept: set[str], case: Case) -> None:
