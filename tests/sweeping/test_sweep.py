@@ -458,8 +458,8 @@ def test_bodies_that_differ_in_a_plain_function_are_not_the_same_work():
         body = cddf.Manipulator(0.14, radius, 0.007, (cddf.Tendon(0.010),), 1.4e6, 0.42)
         return Sweep(manipulator=body, dimensions=dimensions_of({"base_tension": [1.0]})).identity
 
-    def line(slope):
-        return lambda s: 0.02 - slope * s
+    def step(place):
+        return lambda s: jnp.where(s < place, 0.02, 0.018)
 
-    assert told(line(0.05)) == told(line(0.05))
-    assert told(line(0.05)) != told(line(0.04))
+    assert told(step(0.0501)) == told(step(0.0501))
+    assert told(step(0.0501)) != told(step(0.0502))

@@ -253,7 +253,8 @@ class Sweep:
     def identity(self) -> dict[str, object]:
         """All that the results depend on, JSON."""
         body = self.case.manipulator
-        along = np.linspace(0.0, float(np.asarray(body.length)), 101)  # for profiles that are functions, without leaves
+        # for profiles that are functions, without leaves; so closely that also a step elsewhere is another profile
+        along = np.linspace(0.0, float(np.asarray(body.length)), 10_001)
         axes = {f"axis {d.name}": {k: recorded(v) for k, v in (d.numbers | d.options).items()} for d in self.dimensions}
         return {
             **numbers_of(self.case),
