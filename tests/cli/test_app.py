@@ -75,20 +75,10 @@ def test_wrong_usage(fails, arguments, message):
     assert fails(*arguments).startswith(message)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (("140 mm", "140 N"), "length needs a unit of length, got '140 N'; write for example '12.5 mm'"),
-        (('"140 mm"', "140 mm"), "is not TOML"),
-        (("1.4 MPa", "-1.4 MPa"), "youngs_modulus must be above 0, got -1.4e+06 Pa"),
-        (("youngs_modulus", "young_modulus"), "unknown key 'young_modulus'; did you mean youngs_modulus?"),
-    ],
-)
-def test_wrong_manipulators(fails, change, message):
-    text = Path(PAPER).read_text()
-    assert change[0] in text
-    said = fails("solve", "robot.toml", *PULL, files={"robot.toml": text.replace(*change)})
-    assert said.startswith(f"robot.toml: {message}")
+def test_a_wrong_manipulator(fails):
+    text = Path(PAPER).read_text().replace("youngs_modulus", "young_modulus")
+    said = fails("solve", "robot.toml", *PULL, files={"robot.toml": text})
+    assert said == "robot.toml: unknown key 'young_modulus'; did you mean youngs_modulus?"
 
 
 @pytest.mark.parametrize(
@@ -112,19 +102,10 @@ def test_files_that_are_not_there(fails):
     assert fails("fit", PAPER, ".").startswith(".: cannot be read (Is a directory)")
 
 
-@pytest.mark.parametrize(
-    ("table", "message"),
-    [
-        ("base_tension [N],tip_tension [N]\n5,4.8\n10,9.O1\n", "row 3, column tip_tension: '9.O1' is not a number"),
-        ("base_tension [N],tip_tention [N]\n5,4.8\n", "unknown column 'tip_tention'; did you mean tip_tension?"),
-        ("base_tension [N]\n5\n", "nothing observed; add a column tip_tension [N]"),
-        ("", "is empty"),
-    ],
-)
-def test_wrong_tables(fails, table, message):
+def test_a_wrong_table(fails):
+    table = "base_tension [N],tip_tension [N]\n5,4.8\n10,9.O1\n"
     said = fails("fit", PAPER, PULLEY, "bench.csv", "--out", "folder", files={"bench.csv": table})
-    assert said.startswith("bench.csv: ")
-    assert message in said
+    assert said.startswith("bench.csv: row 3, column tip_tension: '9.O1' is not a number")
 
 
 def test_tables_that_do_not_fit_the_manipulator(fails, two_tendons):
