@@ -16,7 +16,7 @@ from bodies import paper_body
 from places import DATA
 
 import cddf_jax as cddf
-from cddf_jax.batch.store import Memory
+from cddf_jax.batch.work import Memory
 from cddf_jax.cli import sweep_options
 from cddf_jax.reports import sweep_report
 from cddf_jax.sweeping import export as sweep_exports

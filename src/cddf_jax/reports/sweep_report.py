@@ -13,8 +13,7 @@ from rich import filesize
 from .. import figures
 from ..batch.chunks import count
 from ..batch.drafts import check_folder
-from ..batch.store import ZarrStore
-from ..batch.work import COPIES
+from ..batch.work import COPIES, ZarrStore
 from ..errors import InputError, in_utf8, within
 from ..progress import stage
 from ..robot.loads import loads_as_dict
