@@ -407,13 +407,6 @@ def test_a_disk_that_fills_up_leaves_the_summary_on_standard_output(run, monkeyp
     assert [path.name for path in tmp_path.iterdir()] == ["x.zarr"]
 
 
-def test_missing_packages(fails, monkeypatch):
-    monkeypatch.setitem(sys.modules, "zarr", None)
-    assert (
-        fails(PAPER, *TENSIONS, "--out", "x.zarr") == "this needs zarr; install it with: pip install 'cddf-jax[sweep]'"
-    )
-
-
 def test_an_interruption(run, monkeypatch):
     def interrupted(*arguments, **options):
         raise KeyboardInterrupt
