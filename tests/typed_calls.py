@@ -109,7 +109,7 @@ def identification():
         base_tension=up_and_down, tip_tension=cddf.trace(robot, up_and_down).tip_tension
     )
     loops = cddf.fit(robot, loop, history=True, before=["rest"], nodes=8)
-    loops.predict("tip_tension", up_and_down, history=True, before=15.0)
+    loops.predict("tip_tension", up_and_down, history=True)
     cddf.average_holds(tensions)
     x = np.arange(4.0)
     bounds = {"a": (-10.0, 10.0)}

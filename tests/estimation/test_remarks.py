@@ -65,15 +65,6 @@ def test_repeats_of_one_level_are_explained():
     assert fit.value["a"] == pytest.approx(data.mean(), rel=1e-9)
 
 
-def test_few_degrees_of_freedom_of_one_column_are_named():
-    """Two levels, each with readings and noise of its own: 30 readings of one leave 29, two of the other leave 1."""
-    data = {"x": NOISY, "y": NOISY[:2]}
-    fit = least_squares_fit(lambda p: {"x": p["a"] + 0 * X, "y": p["b"] + 0 * X[:2]}, {"a": 1.0, "b": 1.0}, data)
-    assert [text for text in fit.remarks if "degree(s)" in text] == [
-        "the noise of y is estimated with only 1 degree(s) of freedom; measure more"
-    ]
-
-
 @pytest.mark.parametrize("sigma", [None, {"x": SIGMA}])
 def test_more_columns_are_tested_against_the_noise_of_their_group(sigma):
     """Two lines that share nothing: the F or chi-square test of two more columns is that of one line alone."""

@@ -12,7 +12,6 @@ from scipy import optimize, stats
 
 import cddf_jax as cddf
 from cddf_jax.errors import InputError
-from cddf_jax.identification.verdict import _differ
 from cddf_jax.measurements.table import Measurements
 
 MU, E = 0.42, 1.4e6  # data/README.md: the truth of every set
@@ -408,31 +407,13 @@ def test_an_outlier_is_reported_with_its_row(tip_angle):
     assert remark.startswith(f"row 7 of {tip_angle.name}: tip_angle lies far off the model: check it")
 
 
-def test_a_wrong_sign_and_a_wrong_unit_are_reported():
-    """Angles of the closed form, exact kinematics: with the other sign, and as radians taken for degrees."""
+def test_a_wrong_sign_is_reported():
+    """Angles of the closed form, exact kinematics, with the other sign."""
     noise = {"tip_tension": 0.1, "tip_angle": 0.005}
     turned = bench(tip_tension=closed_form(LEVELS), tip_angle=-wrap(LEVELS))
     fit = cddf.fit(PAPER, turned, noise=noise)
     assert any("tip_angle is hardly explained at all" in warning for warning in fit.warnings)
     assert not any("add a pulley test (friction alone), tip angles" in line for line in fit.verdict)
-    small = bench(tip_tension=closed_form(LEVELS), tip_angle=np.radians(wrap(LEVELS)))
-    fit = cddf.fit(PAPER, small, noise=noise)
-    assert fit.value["friction_coefficient"] > 2
-    assert any("check the units of the tables" in warning for warning in fit.warnings)
-
-
-def test_trials_of_different_noise_do_not_differ():
-    """Draws of one distribution each: the scatter of 4 readings at a high level is 30 times that of 20 at a low one.
-
-    An analysis of variance of the residuals as they are would report two or more of twenty such tables.
-    """
-    pulls, trial, alarms, plain = np.repeat([5.0, 80.0], [20, 4]), np.repeat([1, 2], [20, 4]), 0, 0
-    noise = np.where(pulls < 10, 0.01, 0.3)
-    for seed in range(20):
-        error = noise * np.random.default_rng(seed).normal(size=pulls.size)
-        alarms += _differ(error / noise, trial)
-        plain += _differ(error, trial)
-    assert (alarms, plain >= 2) == (0, True)
 
 
 def test_trials_that_differ_are_reported():

@@ -122,20 +122,6 @@ def test_predictions_along_a_loop(fitted):
         gone += np.sum((found.half_width / 1.959964 / NOISE[column]) ** 2)
         assert not np.any(found.extrapolated)
     assert gone == pytest.approx(len(ALL), rel=1e-5)
-    after = fitted.predict("tip_tension", [60.0, 40.0, 20.0], history=True, before=75.0)
-    np.testing.assert_allclose(after.value, loop([75.0, 60.0, 40.0, 20.0])[0][1:], rtol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        ({"before": 75.0}, "predict: before is used with a history only; give history=True"),
-        ({"history": True, "before": 20.0}, "predict: row 1: before must be the largest base tension up to this row"),
-    ],
-)
-def test_paths_that_cannot_be_predicted(fitted, given, message):
-    with pytest.raises(InputError, match=message):
-        fitted.predict("tip_angle", [60.0, 40.0], **given)
 
 
 @pytest.mark.slow

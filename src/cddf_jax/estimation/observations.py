@@ -47,11 +47,6 @@ class Observed:
     def scale(self) -> float:
         return float(np.sqrt(np.mean(self.values**2))) or 1.0
 
-    @property
-    def estimated_parts(self) -> int:
-        """How many numbers of the noise are estimated."""
-        return list(self.sigma).count(None) if isinstance(self.sigma, Noise) else int(self.sigma is None)
-
     def first_guess(self) -> np.ndarray:
         """Standard deviations to start from."""
         if self.sigma is None:
@@ -83,7 +78,7 @@ class Observed:
         part is in the unit in which its largest entry is 1. The residuals are over the noise.
         """
         if not isinstance(self.sigma, Noise):
-            return np.ones((self.values.size, self.estimated_parts))
+            return np.ones((self.values.size, int(self.sigma is None)))
         predicted, free = self.values.ravel() + residual * noise.ravel(), [part is None for part in self.sigma]
         slopes = np.stack([np.ones_like(predicted), predicted**2], axis=1)[:, free] / noise.ravel()[:, None] ** 2
         return without_nan(slopes / np.maximum(np.max(slopes, axis=0, initial=0.0), TINY))

@@ -16,7 +16,6 @@ EXACT = 1e-7  # noise over data, below which it counts as 0
 LEAST_FOR_RANKS = 12  # data
 GROWTH_CHANCE = 1e-3
 NEW = 1e-6  # size of a column that the Jacobian does not hold yet
-FEW = 2.5  # degrees of freedom of a noise estimate
 ONE_DATUM = 0.5  # of a parameter's variance; one datum should not determine more
 
 
@@ -47,7 +46,7 @@ def remarks_on_parameters(evidence: Evidence, place: Place) -> list[str]:
 
 
 def remarks_on_residuals(evidence: Evidence, minimum: Minimum, place: Place) -> list[str]:
-    """Remarks on groups that are met exactly or hardly explained, outliers, noise with few degrees of freedom."""
+    """Remarks on groups that are met exactly or hardly explained, and outliers."""
     problem, outcome = minimum
     found, residuals, spectrum = [], problem.by_group(outcome.residual), evidence.spectrum
     unexplained = unexplained_groups(evidence, minimum)
@@ -60,9 +59,6 @@ def remarks_on_residuals(evidence: Evidence, minimum: Minimum, place: Place) -> 
                 f"{name} is met exactly, its noise cannot be estimated: standard errors mean nothing; give the noise"
             )
             continue
-        freedom = evidence.freedom_of(name)
-        if estimated and freedom < FEW:
-            found.append(f"the noise of {name} is estimated with only {freedom:.2g} degree(s) of freedom; measure more")
         if name in unexplained:
             found.append(
                 f"{name} is hardly explained at all, no better than by a constant; check its unit and sign, the model "

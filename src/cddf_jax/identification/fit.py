@@ -43,11 +43,9 @@ from .parameters import (
 from .predictions import (
     Numbers,
     Prediction,
-    TipMisfit,
     beyond_the_data,
     moved_by_finer_steps,
     predicted_rows,
-    tip_misfits,
 )
 from .random_effects import errors_of_base, fit_trials
 from .rivals import Rival, alike_in_words, rivals_of
@@ -64,9 +62,9 @@ from .verdict import (
     so_far_in_words,
     solve_results,
     variance_of_neighbours,
+    warnings_of_increments,
     warnings_of_inputs,
     warnings_of_kinematics,
-    warnings_of_numbers,
     warnings_of_rows,
     warnings_of_solves,
     warnings_of_trials,
@@ -116,7 +114,7 @@ class Fit(LeastSquaresFit):
         return (
             *warnings_of_rows(tables, self.model, self.without_jitter),
             *warnings_of_inputs(self, tables, self.model, self.options["noise"]),
-            *warnings_of_numbers(self, self.moved_by_steps),
+            *warnings_of_increments(self.moved_by_steps),
             *(rival.in_words for rival in self.rivals if rival.in_words),
             *alike_in_words(self.rivals),
             *repeated_tables(tables),
@@ -132,6 +130,11 @@ class Fit(LeastSquaresFit):
         labels = {name: [g.label for g in self.groups if g.name == name] for name in self.model.names}
         trials = [name for name in self.evidence.space.names if name.startswith(TRIALS)]
         return {name: determine(self.widened.of(of, trials)) for name, of in labels.items()}
+
+    @property
+    def own_names(self) -> list[str]:
+        """The parameters that were fitted, without the deviations of trials."""
+        return [name for name in self.names if not name.startswith(TRIALS)]
 
     @property
     def groups(self) -> list[bench.Group]:
@@ -175,7 +178,6 @@ class Fit(LeastSquaresFit):
         displacement: Numbers | None = None,
         time: ArrayLike | None = None,
         history: bool = False,
-        before: Before = "rest",
     ) -> Prediction:
         """Predict a reading, with its 95 % band.
 
@@ -188,10 +190,9 @@ class Fit(LeastSquaresFit):
             displacement: m, as the encoders read, in place of base tensions and in the same shapes. The slack offsets
                 are those of all trials, not those of one trial alone.
             time: s, (rows,), of a path by displacement; needed where the fit knows a lag.
-            history: whether the rows are a path, pulled and released in this order; every turn counts. Else
+            history: whether the rows are a path from rest, pulled and released in this order; every turn counts. Else
                 each row is an equilibrium of its own, with the directions that `solve` finds; by displacement it is
                 pulled from rest, and its forces grow with it.
-            before: with a history, the tensions before the first row: "rest", or base tensions, N, as in `fit`.
 
         Raises:
             InputError: for another column, conditions of other shapes, or a path that `fit` could not follow.
@@ -199,8 +200,7 @@ class Fit(LeastSquaresFit):
         body, setting = self.manipulator, self._setting(column)
         how = how_followed(body, (*self.names, *setting.given), setting.loads)
         pulls = {"base_tension": base_tension, "displacement": displacement}
-        path = {"time": time, "history": history, "before": before}
-        how |= {"short_steps": self._short_steps}
+        path = {"time": time, "history": history, "short_steps": self.options["short_steps"]}
         forces = {ON_TIP: tip_force} | {f"{float(place)!r}m": force for place, force in (force_at or {}).items()}
         wanted = predicted_rows(pulls, forces, body, setting, **path, **how)
         shown = wanted.evaluate(self.model.manipulator, self.parameters, self.model.nodes)
@@ -222,11 +222,6 @@ class Fit(LeastSquaresFit):
             return {}
         ends = self.solve_results
         return named_rows([end.table for end in ends], [end.contradicted for end in ends])
-
-    @property
-    def _short_steps(self) -> int:
-        courses = (one.course for one in self.model.experiments if isinstance(one, bench.Bench))
-        return next((one.short_steps for one in courses if one is not None and one.short_steps), SHORT_STEPS)
 
     def place(self, group: str, k: int) -> str:
         """The place of reading `k` of a group, in words: its row in the file, or its number where there is no file."""
@@ -263,11 +258,6 @@ class Fit(LeastSquaresFit):
     def moved_by_steps(self) -> dict[str, float]:
         """By parameter, its error by the increments of a history, over its standard error; {} without increments."""
         return moved_by_finer_steps(self, self.model, self.groups) if self.success else {}
-
-    @property
-    def tip_misfits(self) -> dict[str, TipMisfit]:
-        """By table of a body in space that bends in one plane, how far its tip is off in this plane and across it."""
-        return tip_misfits(self, self.groups)
 
     @cached_property
     def rivals(self) -> list[Rival]:
@@ -408,7 +398,7 @@ def fit(
     observed, inputs = {group.label: group.observed for group in groups}, errors_of_base(model, tables, of_base)
     search = partial(least_squares_fit, model, observed=observed, sigma=sigma, inputs=inputs, bounds=bounds)
     in_increments = any(course is not None and course[0].short_steps is not None for course in courses)
-    search = partial(search, seed=seed, prefer_start=True, accuracy=CLOSE if in_increments else 0.0)
+    search = partial(search, seed=seed, accuracy=CLOSE if in_increments else 0.0)
     if not per_trial:
         statistics = search(start, priors=priors, scales=scales, starts=starts)
         found = _conclude(statistics, tables, model, setting, without_jitter, float("nan"), left_out, options)

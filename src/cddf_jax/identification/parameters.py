@@ -5,7 +5,7 @@ a bench are given by its setting.
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple
 
@@ -20,7 +20,7 @@ from ..measurements.readings import tendon_number
 from ..numerics.given_numbers import check_numbers
 from ..quantities import dimension_of
 from ..robot.loads import Loads, loads_as_dict, point_in_words
-from ..robot.manipulator import Manipulator
+from ..robot.manipulator import Manipulator, Tendon
 from ..robot.profiles import shifted
 from ..units import Dimension, shown, si_unit
 from .tension_before import PARAMETER, is_past
@@ -164,30 +164,29 @@ def with_parameters(manipulator: Manipulator, parameters: Parameters) -> Manipul
     if "outer_radius_error" in parameters:
         radius = shifted(body.outer_radius, parameters["outer_radius_error"])
         body = eqx.tree_at(lambda m: m.outer_radius, body, radius)
-    if "tendon_offset_error" in parameters:
-        offsets = [shifted(tendon.offset, parameters["tendon_offset_error"]) for tendon in body.tendons]
-        body = eqx.tree_at(lambda m: [tendon.offset for tendon in m.tendons], body, offsets)
     if any(name.startswith("tendon_angle_error") for name in parameters):
         body = body.with_angles()
-        angles = [
-            shifted(tendon.angle, own_or_common(parameters, "tendon_angle_error", i, 0.0))
-            for i, tendon in enumerate(body.tendons, 1)
-            if tendon.angle is not None
-        ]
-        body = eqx.tree_at(lambda m: [tendon.angle for tendon in m.tendons], body, angles)
-    if any(name.startswith("tendon_stretch") for name in parameters):
-        tendons = [
-            replace(tendon, axial_stiffness=1.0 / (own_or_common(parameters, "tendon_stretch", i, own) + NO_STRETCH))
-            for i, (tendon, own) in enumerate(zip(body.tendons, body.tendon_compliance, strict=True), 1)
-        ]
-        body = eqx.tree_at(lambda m: m.tendons, body, tuple(tendons))
-    for name in (name for name in OUTSIDE if any(given.startswith(name) for given in parameters)):
-        tendons = [
-            replace(tendon, **{name: own_or_common(parameters, name, i, getattr(tendon, name))})
-            for i, tendon in enumerate(body.tendons, 1)
-        ]
-        body = eqx.tree_at(lambda m: m.tendons, body, tuple(tendons))
-    return body
+    given = {parameter_named(name).name for name in parameters if not name.startswith(TRIALS)}
+    tendons = [_tendon_with(parameters, given, i, tendon) for i, tendon in enumerate(body.tendons, 1)]
+    return eqx.tree_at(lambda m: m.tendons, body, tuple(tendons))
+
+
+def _tendon_with(parameters: Parameters, given: Collection[str], number: int, tendon: Tendon) -> Tendon:
+    """The tendon of this number with its own or the common parameters; `given`: the names without numbers."""
+
+    def own(name: str, otherwise: ArrayLike | None = 0.0) -> Any:
+        return own_or_common(parameters, name, number, otherwise)
+
+    changed = {name: own(name, getattr(tendon, name)) for name in OUTSIDE if name in given}
+    if "tendon_offset_error" in given:
+        changed["offset"] = shifted(tendon.offset, own("tendon_offset_error"))
+    if "tendon_angle_error" in given and tendon.angle is not None:
+        changed["angle"] = shifted(tendon.angle, own("tendon_angle_error"))
+    if "tendon_stretch" in given:
+        stiffness = tendon.axial_stiffness
+        stretch = own("tendon_stretch", 0.0 if stiffness is None else 1.0 / stiffness)
+        changed["axial_stiffness"] = 1.0 / (stretch + NO_STRETCH)
+    return replace(tendon, **changed)
 
 
 def with_deviation(manipulator: Manipulator, deviation: Float[Array, ""] | None) -> Manipulator:

@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from ..errors import InputError, within
-from ..estimation.determination import AT_BOUND, NOT_IDENTIFIED
 from ..estimation.least_squares import LeastSquaresFit
 from ..measurements.forces import ON_TIP, check_on_body, column_of_force, forces_of
 from ..measurements.readings import of_tendons
@@ -23,13 +22,10 @@ from ..robot.manipulator import Manipulator
 from .bench import AllRows, Bench, BenchModel, Group
 from .course import course_of, paths_of
 from .parameters import TRIALS
-from .tension_before import REST, Before, starts_of
 
 SPANNED = 1e-9  # of the largest tension or force: rows as close to the range of the data count as inside
 
 Numbers = ArrayLike | Sequence[float] | Sequence[Sequence[float]]
-TIP = ("tip_x", "tip_y", "tip_z")
-FLAT = 0.1  # scatter of places across a plane over the smaller one within it, below which they count as in a plane
 
 
 class Prediction(NamedTuple):
@@ -48,7 +44,6 @@ def predicted_rows(
     *,
     time: ArrayLike | None = None,
     history: bool = False,
-    before: Before = REST,
     **how: Any,
 ) -> Bench:
     """The rows to predict; arguments as in `Fit.predict`, and the setting that all rows share.
@@ -88,16 +83,12 @@ def predicted_rows(
     with within("predict"):
         places, own = forces_of(given, rows)
         check_on_body(places, float(np.asarray(body.length)))
-    if before != REST and not history:
-        raise InputError("predict: before is used with a history only; give history=True")
     course, setting = None, replace(setting, force_at=tuple(places.values()))
     if history or kind == "displacement":
-        with within("predict"):
-            starts = starts_of([1], before, (), tendons)[0] if history else None
         columns = dict(zip(of_tendons(kind, tendons), pulled.T, strict=True)) | given
         columns |= {} if time is None else {"time": np.asarray(time, np.float64)}
         path = Measurements("predict", columns, np.arange(1, rows + 1))
-        course, _ = course_of(path, {kind: 0.0}, starts, paths=paths_of(path, history), **how)
+        course, _ = course_of(path, {kind: 0.0}, paths=paths_of(path, history), **how)
     return Bench(pulled, (None,) * tendons, own if np.any(own) else None, course=course, setting=setting)
 
 
@@ -153,59 +144,7 @@ def moved_by_finer_steps(fit: LeastSquaresFit, model: BenchModel, groups: Sequen
     return {name: value for name, value in own if not name.startswith(TRIALS)} if found else {}
 
 
-class TipMisfit(NamedTuple):
-    """Root mean squares of the distance between read and predicted places of the tip, m."""
-
-    in_plane: float  # in the plane in which the body bends
-    across: float  # at right angles to it
-
-
-def tip_misfits(fit: LeastSquaresFit, groups: Sequence[Group]) -> dict[str, TipMisfit]:
-    """By table of a body in space whose tip bends in one plane, how far its places are off in this plane and across it.
-
-    The plane is the one nearest to all predicted places.
-    """
-    found = {}
-    for name in dict.fromkeys(group.name for group in groups):
-        own = {group.column: group for group in groups if group.name == name}
-        if not {*TIP} <= {*own}:
-            continue
-        every = np.all([own[column].there for column in TIP], axis=0)
-        off, read = (
-            np.stack([of[own[column].label][every[own[column].there]] for column in TIP], axis=1)
-            for of in (fit.residuals, {group.label: group.observed for group in own.values()})
-        )
-        place = read - off
-        if not np.all(np.isfinite(place)):
-            continue
-        _, sizes, axes = np.linalg.svd(place - place.mean(axis=0), full_matrices=False)
-        if len(place) > 3 and sizes[2] < FLAT * sizes[1]:
-            across = np.mean((off @ axes[2]) ** 2)
-            found[name] = TipMisfit(float(np.sqrt(np.mean(np.sum(off**2, axis=1)) - across)), float(np.sqrt(across)))
-    return found
-
-
 def noise_of_readings(fit: LeastSquaresFit, group: Group) -> np.ndarray:
     """(readings,), the standard deviations of the noise."""
     problem = fit.minimum.problem
     return np.ravel(problem.data.noise[problem.groups.index(group.label)])
-
-
-# --- names of what was fitted ---------------------------------------------------------------------
-
-
-def own_names(fit: LeastSquaresFit) -> list[str]:
-    """The parameters that were fitted, without the deviations of trials."""
-    return [name for name in fit.names if not name.startswith(TRIALS)]
-
-
-def moving_names(fit: LeastSquaresFit) -> list[str]:
-    """The fitted parameters that are not at a bound."""
-    return [name for name in own_names(fit) if fit.status[name] != AT_BOUND]
-
-
-def correlated_names(fit: LeastSquaresFit) -> list[str]:
-    """The parameters whose correlation the data determine."""
-    if fit.rank == len(fit.names):
-        return moving_names(fit)
-    return [name for name in moving_names(fit) if fit.status[name] != NOT_IDENTIFIED]

@@ -27,8 +27,6 @@ from .predictions import noise_of_readings
 from .random_effects import many_levels
 from .tension_before import is_past
 
-INCOMPRESSIBLE = 0.5  # Poisson's ratio of a material that does not change its volume
-LARGEST_FRICTION = 2.0  # a larger coefficient gives a warning
 CHANCE = 1e-3  # p-value below which residuals drift, or differ from trial to trial
 LARGEST_MOVE = 0.5  # standard errors; a larger error by increments gives a warning
 MOST_ALIKE = 0.999  # a correlation of neighbours that is counted; at 1 nothing would be known
@@ -148,23 +146,12 @@ def warnings_of_inputs(
         )
 
 
-def warnings_of_numbers(fit: LeastSquaresFit, moved: Mapping[str, float]) -> Iterator[str]:
-    """Estimates that no real body has, and those that the increments of a history have `moved` too far."""
+def warnings_of_increments(moved: Mapping[str, float]) -> Iterator[str]:
+    """Estimates that the increments of a history have `moved` too far."""
     for name, part in moved.items():
         if not part <= LARGEST_MOVE:
             what = f"the increments of the history move {name} by {part:.2g} of its standard error"
             yield f"{what}; give more short_steps"
-    mu = fit.value.get("friction_coefficient", 0.0)
-    if mu > LARGEST_FRICTION and fit.status["friction_coefficient"] == IDENTIFIED:
-        yield (
-            f"friction_coefficient = {mu:.3g} is far above that of any tendon; check the units of the tables, "
-            "for instance radians in a column of degrees"
-        )
-    if fit.confidence_interval.get("poissons_ratio", (0.0, 0.0))[0] > INCOMPRESSIBLE:
-        yield (
-            f"poissons_ratio = {fit.value['poissons_ratio']:.3g} is above 0.5, which no uniform material has: the body "
-            "is softer in torsion or shear than its bending stiffness suggests"
-        )
 
 
 def warnings_of_kinematics(tables: Sequence[Measurements], manipulator: Manipulator) -> Iterator[str]:
@@ -179,7 +166,13 @@ def warnings_of_kinematics(tables: Sequence[Measurements], manipulator: Manipula
 def warnings_of_trials(fit: LeastSquaresFit, groups: Sequence[Group]) -> Iterator[str]:
     """Readings that differ from trial to trial, although no parameter does."""
     for group in groups:
-        if TRIALS not in fit.parameters and _differ_by_trial(fit, group):
+        trials = group.table.trial[group.there]
+        exact = np.max(np.abs(fit.residuals[group.label]), initial=0.0) <= EXACT * np.max(np.abs(group.observed))
+        if TRIALS in fit.parameters or exact:  # rounding errors may differ from trial to trial
+            continue
+        columns = (trials[:, None] == np.unique(trials)).astype(float)
+        columns -= columns.mean(axis=0)  # by how much each trial is off the mean of all
+        if chance_of_more(fit.evidence, fit.standardised_residuals, group.label, columns) < CHANCE:
             yield f"{group.label} differs from trial to trial by more than its scatter; try per_trial"
 
 
@@ -260,26 +253,6 @@ def _jitter_in_words(name: str, column: str, steady: Steady) -> str:
         f"{name}: {column} jitters by {noise} (standard deviation), and {steady.num_ignored} of its turns of {least} "
         f"or less are taken for noise; if they are real, give the noise of {column}"
     )
-
-
-def _differ_by_trial(fit: LeastSquaresFit, group: Group) -> bool:
-    """Whether the residuals of a column differ from trial to trial, and not only by rounding errors."""
-    residual = fit.residuals[group.label]
-    exact = np.max(np.abs(residual), initial=0.0) <= EXACT * np.max(np.abs(group.observed))
-    trial = group.table.trial[group.there]
-    return "trial" in group.table and not exact and _differ(fit.standardised_residuals[group.label], trial)
-
-
-def _differ(residual: np.ndarray, trial: np.ndarray) -> bool:
-    """Whether means over trials differ, by an analysis of variance of residuals over their noise."""
-    groups = [residual[trial == label] for label in np.unique(trial)]
-    if len(groups) < 2 or min(map(len, groups)) < 2 or not np.all(np.isfinite(residual)):
-        return False
-    if not any(np.ptp(group) > 0 for group in groups):  # without scatter
-        return len({group[0] for group in groups}) > 1
-    from scipy.stats import f_oneway
-
-    return bool(f_oneway(*groups).pvalue < CHANCE)
 
 
 def shown_unit(name: str) -> tuple[float, str]:

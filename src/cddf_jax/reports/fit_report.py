@@ -10,7 +10,7 @@ import numpy as np
 from .. import figures
 from ..batch.drafts import check_folder
 from ..errors import InputError
-from ..estimation.determination import NOT_IDENTIFIED, Determination
+from ..estimation.determination import AT_BOUND, NOT_IDENTIFIED, Determination
 from ..estimation.profile_likelihood import Profile
 from ..files.manipulator_file import manipulator_text
 from ..files.writing import markdown_table, picked
@@ -18,13 +18,12 @@ from ..identification.bench import Bench
 from ..identification.curves import tables_without_numbers
 from ..identification.fit import Fit
 from ..identification.parameters import TRIALS, unit_of
-from ..identification.predictions import correlated_names, own_names
 from ..identification.verdict import parameter_shown, shown_unit
 from ..measurements.columns import column_dimension
 from ..measurements.table import Measurements
 from ..progress import each, stage
 from ..robot.manipulator import Manipulator
-from ..units import preferred, shown
+from ..units import preferred
 from .report import Content, Report, versions
 
 if TYPE_CHECKING:
@@ -34,7 +33,7 @@ if TYPE_CHECKING:
 # of results.json
 OF_FIT = (
     *("result", "success", "verdict", "warnings", "noise", "noise_model", "noise_estimated", "input_noise"),
-    *("serial_correlation", "neighbours", "tip_misfits"),
+    *("serial_correlation", "neighbours"),
     *("trial_effects", "trial_spread", "moved_by_steps", "mean_relative_error", "reduced_chi_square"),
     *("degrees_of_freedom", "log_likelihood", "information_criteria", "restarted", "num_steps"),
 )
@@ -46,7 +45,7 @@ OF_DETERMINATION = (
 
 def profiles_of(fit: Fit) -> dict[str, Profile]:
     """The profile of each fitted parameter, which takes some seconds; none of a fit that failed."""
-    return {name: fit.profile(name) for name in each("profile", own_names(fit))} if fit.success else {}
+    return {name: fit.profile(name) for name in each("profile", fit.own_names)} if fit.success else {}
 
 
 # --- results.json --------------------------------------------------------------------------------
@@ -227,7 +226,8 @@ def _goodness(fit: Fit) -> list[str]:
 
 
 def _correlation(fit: Fit) -> list[str]:
-    names = correlated_names(fit)
+    known = fit.rank == len(fit.names)  # else the data tell no correlation of what is not identified
+    names = [name for name in fit.own_names if fit.status[name] not in (AT_BOUND, known or NOT_IDENTIFIED)]
     places = [fit.names.index(name) for name in names]
     rows = [[name, *(f"{fit.correlation[i, k]:.4f}" for k in places)] for name, i in zip(names, places, strict=True)]
     return markdown_table(("parameter", *names), rows) if len(names) > 1 else []
@@ -277,12 +277,7 @@ def _noise(fit: Fit) -> list[str]:
         rows.append([label, f"{scale * deviation:.3g} {unit}", kind, "-", "-"])
     kind = "estimated from the residuals" if fit.noise_estimated else "as given"
     text = f"Noise {kind}; {fit.degrees_of_freedom} degrees of freedom; rank {fit.rank}; {fit.result}."
-    tips = [
-        f"{name}: the tip is off by {shown(one.in_plane, 'length')} in the plane of bending and by "
-        f"{shown(one.across, 'length')} across it (root mean squares)."
-        for name, one in fit.tip_misfits.items()
-    ]
-    return [*markdown_table(head, rows), "", text, *(["", *_bullets(tips)] if tips else [])]
+    return [*markdown_table(head, rows), "", text]
 
 
 def _figures(drawn: Sequence[str], missing: Mapping[str, str]) -> list[str]:
