@@ -25,7 +25,7 @@ from cddf_jax.estimation.residuals import InputErrors
 from cddf_jax.identification.course import course_of
 from cddf_jax.identification.experiment_design import Candidate
 from cddf_jax.identification.random_effects import errors_of_base
-from cddf_jax.identification.tension_before import Past, Start, first_guesses, starts_of
+from cddf_jax.identification.tension_before import Past, first_guesses, pasts_of
 from cddf_jax.measurements.jitter import turns_of, without_jitter
 from cddf_jax.measurements.table import Measurements
 from cddf_jax.reports.fit_report import fit_as_dict, fit_as_markdown
@@ -246,7 +246,7 @@ def scaled_slopes(free):
     """Of tip tension and tip angle over their noise by the logarithms of parameters, as the bench has them."""
     table = released()
     truth = {"friction_coefficient": MU, "youngs_modulus": E, "before": 57.0}
-    course = course_of(table, starts=[Start((None,), ("before",))])[0]
+    course = course_of(table, past=pasts_of([1], "rest", ["before"])[0])[0]
     slopes = bench_of(table, BODY, course=course).evaluate(BODY, truth, 16).derivatives
     places = [sorted(truth).index(name) for name in free]
     return [slopes[column][:, places] * [truth[name] for name in free] / NOISE[column] for column in NOISE]
@@ -305,17 +305,14 @@ def test_trials_begin_in_their_own_ways():
     tip, angle = (np.concatenate([x, y[1:]]) for x, y in zip(_play(RELEASED), _play([60.0, *RELEASED]), strict=True))
     columns = {"base_tension": np.tile(RELEASED, 2), "trial": np.repeat(["a", "b"], 10), "step": np.tile(range(10), 2)}
     both = Measurements.from_columns("bench", **columns, tip_tension=tip, tip_angle=angle)
-    start = starts_of([2], "rest", ["before_2"])[0]
-    course = course_of(both, starts=start)[0]
+    past = pasts_of([2], "rest", ["before_2"])[0]
+    course = course_of(both, past=past)[0]
     assert of_kind(Past, course.past).parameters == (("",), ("before_2",))
     np.testing.assert_array_equal(course.path({"before_2": 50.0})[:, 0, 0], [0.0, 50.0])  # 0 N is rest
-    assert course_of(both, starts=starts_of([2], ["rest", 60.0], [])[0])[0].past_in_words == ["rest", "60 N"]
-    assert starts_of([2], ["rest", 70.0], ["before"])[0] == [Start((None,), ("",)), Start((70.0,), ("before",))]
-    assert starts_of([1, 0, 1], "rest", ["before"]) == [
-        [Start((None,), ("before",))],
-        [],
-        [Start((None,), ("before",))],
-    ]
+    assert course_of(both, past=pasts_of([2], ["rest", 60.0], [])[0])[0].past_in_words == ["rest", "60 N"]
+    (mixed,) = pasts_of([2], ["rest", 70.0], ["before"])
+    assert (mixed.parameters, mixed.stated.tolist()) == ((("",), ("before",)), [[0.0], [70.0]])
+    assert [past.parameters for past in pasts_of([1, 0, 1], "rest", ["before"])] == [(("before",),), (), (("before",),)]
     bench = bench_of(both, BODY, course=course)
     truth = {"friction_coefficient": MU, "youngs_modulus": E, "before_2": 60.0}
     read = bench.predict(BODY, {name: np.asarray(value) for name, value in truth.items()}, 16)
@@ -325,8 +322,8 @@ def test_trials_begin_in_their_own_ways():
 
 def test_a_first_row_may_be_a_release():
     down = unread(direction=[-1, -1, 1, 1, 1, 1, -1, -1, -1, -1])
-    for start in (Start((60.0,)), Start((None,), ("before",))):
-        course_of(down, starts=[start])
+    for past in (*pasts_of([1], 60.0, ()), *pasts_of([1], "rest", ["before"])):
+        course_of(down, past=past)
     with pytest.raises(InputError, match="column direction: is -1, but base_tension rises there from 0 N to 40 N"):
         course_of(down)
 
@@ -383,7 +380,7 @@ def test_the_course_of_several_tendons():
     both = course_of(pair_table(**{"tip_force_y": force, "force_y@60mm": np.full(20, -0.2)}))[0]
     assert both.stays == (False, True)
     with pytest.raises(InputError, match="pair: before holds tensions of 1 tendons, but there are 2 columns of"):
-        course_of(pair_table(), starts=[Start((60.0,))])
+        course_of(pair_table(), past=pasts_of([1], 60.0, ())[0])
     with pytest.raises(InputError, match="fit: short_steps must be a whole number of 2 or more, got 1"):
         cddf.fit(PAIR, pair_table(), short_steps=1)
 
@@ -391,24 +388,25 @@ def test_the_course_of_several_tendons():
 def test_what_came_before_several_tendons():
     """By trial and tendon. A tension that is not given is that of the first row; a trial from rest begins with none."""
     trials = pair_table(trial=np.repeat([1, 2], 10))
-    starts = starts_of([2], ["rest", (60.0, 5.0)], ["before_2", "before_tendon_2_1"], 2)[0]
-    assert starts == [Start((None, None), ("", "before_tendon_2_1")), Start((60.0, 5.0), ("before_2", ""))]
-    course = course_of(trials, starts=starts)[0]
+    (past,) = pasts_of([2], ["rest", (60.0, 5.0)], ["before_2", "before_tendon_2_1"], 2)
+    assert past.parameters == (("", "before_tendon_2_1"), ("before_2", ""))
+    np.testing.assert_array_equal(past.stated, [[np.nan, np.nan], [60.0, 5.0]])
+    course = course_of(trials, past=past)[0]
     np.testing.assert_allclose(course.path({"before_2": 70.0, "before_tendon_2_1": 40.0})[:, 0], [[10, 40], [70, 5]])
     assert course.past_in_words == ["10 N and fitted (before_tendon_2_1)", "fitted (before_2) and 5 N"]
-    known = course_of(trials, starts=starts_of([2], ["rest", (60.0, 5.0)], [], 2)[0])[0]
+    known = course_of(trials, past=pasts_of([2], ["rest", (60.0, 5.0)], [], 2)[0])[0]
     assert known.past_in_words == ["rest", "60 N and 5 N"]
     np.testing.assert_allclose(known.path({})[:, 0], [[0, 0], [60, 5]])
     assert known.pulled[10]  # 64 N are more than 60 N
-    second = [Start((60.0, 5.0), ("before_2", ""))], np.array([[64.0, 20.0]])
-    assert first_guesses([second]) == {"before_2": (60.0, 0.0)}
+    second = Past(np.array([[60.0, 5.0]]), (("before_2", ""),))
+    assert first_guesses([(second, np.array([[64.0, 20.0]]))]) == {"before_2": (60.0, 0.0)}
     for before, free, message in (
         (60.0, (), r"base tensions of 2 tendons before the first row, N, in a list of trials such as .*, got 60.0"),
         ([(60.0, -1.0)], (), "before must be .rest. or the base tensions of 2 tendons"),
         ("rest", ["before_tendon_3"], "before_tendon_3 belongs to tendon 3, but the body has 2"),
     ):
         with pytest.raises(InputError, match=message):
-            starts_of([1], before, free, 2)  # pyright: ignore[reportArgumentType]
+            pasts_of([1], before, free, 2)  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.slow
@@ -450,7 +448,7 @@ def test_what_two_tendons_had_before():
     history = cddf.trace(PAIR, path, before=[62.0, 20.0], **AS_FITTED, throw=False)
     columns = {"base_tension": path[:, 0], "base_tension_2": path[:, 1], "step": range(3)}
     table = Measurements.from_columns("pair", **columns, tip_tension=np.zeros(3), tip_angle=np.zeros(3))
-    course = course_of(table, starts=[Start((None, None), ("before", ""))])[0]
+    course = course_of(table, past=pasts_of([1], "rest", ["before"], 2)[0])[0]
     assert course.past_in_words == ["fitted (before) and 20 N"]
     shown = bench_of(table, PAIR, course=course).predict(PAIR, {"before": np.asarray(62.0)}, 12)
     np.testing.assert_allclose(shown["tip_tension"], history.tip_tension[:, 0], rtol=1e-9)
@@ -485,7 +483,7 @@ def test_a_tip_force_that_changes_under_gravity():
     columns = {"base_tension": path, "tip_force_x": force[:, 0], "tip_force_y": force[:, 1], "step": range(4)}
     read = {"tip_tension": np.zeros(4), "tip_angle": np.zeros(4), "tip_y": np.zeros(4)}
     table = Measurements.from_columns("bench", **columns, **read)
-    course = course_of(table, starts=[Start((before,), ("",))], stepped=True)[0]
+    course = course_of(table, past=pasts_of([1], before, ())[0], stepped=True)[0]
     rows = bench_of(table, heavy(), course=course, setting=cddf.BenchSetting(loads=gravity))
     shown = rows.predict(heavy(), {}, 12)
     np.testing.assert_allclose(shown["tip_tension"], history.tip_tension, rtol=1e-9)

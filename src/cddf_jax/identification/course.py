@@ -30,7 +30,7 @@ from ..robot.manipulator import Manipulator
 from ..statics.targets import Displacement
 from ..units import shown
 from .parameters import RUBBING, along_a_path, with_deviation
-from .tension_before import REST, Past, Start, past_of
+from .tension_before import REST, Past
 
 STEPS = 16  # paths are traced in multiples of this number, so that tables share compiled programs
 FEW_STEPS = 4  # the same for paths that are followed in increments
@@ -334,7 +334,7 @@ def how_followed(manipulator: Manipulator, parameters: Sequence[str], loads: Loa
 def course_of(
     table: Measurements,
     noise: Mapping[str, float] | None = None,
-    starts: Sequence[Start] | None = None,
+    past: Past | None = None,
     short_steps: int = SHORT_STEPS,
     *,
     paths: Sequence[np.ndarray] | None = None,
@@ -347,7 +347,7 @@ def course_of(
         table: of a body with any number of tendons.
         noise: by column, the standard deviation of a reading of what was set, N or m, as in `without_jitter`; that of
             `base_tension` or `displacement` holds for all columns without one.
-        starts: how each trial begins; None: from rest.
+        past: how each trial begins; None: at rest.
         short_steps: into how many increments each step is divided where the answer is not exact.
         paths: the rows of each path; None: those of each trial.
         stepped: whether loads of all rows, or friction besides that on the body, rule out an exact answer.
@@ -365,22 +365,22 @@ def course_of(
     timed &= any(by_length) and max(map(len, rows_of_paths)) > 1
     trial, step = np.zeros(rows, int), np.zeros(rows, int)
     every, times, found, first = [], [], [], []
-    starts = [Start()] * len(rows_of_paths) if starts is None else starts
+    past = None if past is None or past.at_rest else past
     known = noise or {}
-    if any(by_length) and not all(start.from_rest for start in starts):
+    if past is not None and any(by_length):
         raise InputError(
             f"{table.name}: before holds tensions, but displacements set the tendons; begin each trial with a row of "
             "the displacements before it, whose readings may be empty"
         )
-    for start in (start for start in starts if not start.from_rest and len(start.tension) != len(pulled)):
+    if past is not None and np.shape(past.stated)[1] != len(pulled):
         raise InputError(
-            f"{table.name}: before holds tensions of {len(start.tension)} tendons, but there are {len(pulled)} columns "
-            "of base tensions; give one tension for each column"
+            f"{table.name}: before holds tensions of {np.shape(past.stated)[1]} tendons, but there are "
+            f"{len(pulled)} columns of base tensions; give one tension for each column"
         )
-    for own, start in zip(rows_of_paths, starts, strict=True):
+    for k, own in enumerate(rows_of_paths):
         steadied = [_steady(table[column][own], known.get(column, known.get(kind_of_set(column)))) for column in pulled]
         if len(pulled) == 1 and not np.any(force):
-            _check_directions(table, own, steadied[0], start)
+            _check_directions(table, own, steadied[0], past, k)
         given = np.stack([*(steady.tension for steady in steadied), *force[own].reshape(len(own), -1).T], axis=1)
         moved = np.append(True, np.any(np.diff(given, axis=0) != 0, axis=1) | timed)
         trial[own], step[own] = len(every), np.cumsum(moved) - 1
@@ -391,7 +391,7 @@ def course_of(
     places = [f"{table.name}: {table.place(int(row))}" for row in first]
     tensions = [path[:, : len(pulled)] for path in every]
     forces = [path[:, len(pulled) :].reshape(len(path), *force.shape[1:]) for path in every]
-    past = past_of(starts, np.array([path[0] for path in tensions]), places)
+    past = past and past.followed_by(np.array([path[0] for path in tensions]), places)
     of_rows = trial, step, np.array(first)
     short = None if exact else short_steps
     course = _course(tensions, forces, *of_rows, past, short, by_length, times if timed else None)
@@ -430,17 +430,16 @@ def _steady(readings: np.ndarray, noise: float | None) -> Steady:
     return steady._replace(tension=steady.tension + least)
 
 
-def _check_directions(table: Measurements, rows: np.ndarray, steady: Steady, start: Start) -> None:
+def _check_directions(table: Measurements, rows: np.ndarray, steady: Steady, past: Past | None, trial: int) -> None:
     """Compare the column `direction` with the path: the tension must rise to a row with 1, and fall to one with -1."""
     if "direction" not in table:
         return
     (column,) = set_by(table.columns)
     dimension, by_length = dimension_of(column), is_driven_by_length(table)
-    stated = start.tension[0] if start.tension else None
-    before = np.append(0.0 if stated is None else stated, steady.tension[:-1])
+    before = np.append(0.0 if past is None else np.nan_to_num(past.stated[trial, 0]), steady.tension[:-1])
     moved = steady.tension - before
     sure = np.abs(moved) > max(steady.least_turn, NO_STEP * np.max(steady.tension))
-    sure[0] &= not any(start.parameters)  # a fitted tension decides the way to the first row
+    sure[0] &= past is None or not any(past.parameters[trial])  # a fitted tension decides the way to the first row
     sure[0] &= not by_length  # where a tendon begins to pull is not known
     wrong = np.flatnonzero(sure & (moved * table["direction"][rows] < 0))
     if wrong.size:

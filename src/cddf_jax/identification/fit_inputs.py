@@ -18,7 +18,7 @@ from ..units import si_unit
 from .bench import Group
 from .course import Course, course_of, how_followed, paths_of
 from .parameters import BenchSetting, along_a_path, trial_of
-from .tension_before import Before, first_guesses, starts_of
+from .tension_before import Before, first_guesses, pasts_of
 
 
 def courses_of(
@@ -34,7 +34,7 @@ def courses_of(
     """The course of each table, None without a history; guesses of pasts."""
     paths = [paths_of(table, history) for table in tables]
     counts = [len(own or ()) for own in paths]
-    starts = starts_of(counts, before, free, manipulator.num_tendons)
+    pasts = pasts_of(counts, before, free, manipulator.num_tendons)
     names = *free, *setting.given
     along = along_a_path(manipulator, names)
     for table, rows in zip(tables, paths, strict=True):
@@ -49,14 +49,14 @@ def courses_of(
             raise InputError(what, remedy="number the trials of all tables from 1, in their order")
     courses = [
         course_of(table, noise, own, short_steps, paths=rows, **how) if rows else None
-        for table, rows, own in zip(tables, paths, starts, strict=True)
+        for table, rows, own in zip(tables, paths, pasts, strict=True)
     ]
     if any(trial_of(name) is not None for name in names):  # else predictions take the same program without numbers
         courses = [
             course and (replace(course[0], number=end + 1 + table.trial[course[0].first_row]), course[1])
             for end, table, course in zip(ends, tables, courses, strict=False)
         ]
-    known = [(own, course[0]) for own, course in zip(starts, courses, strict=True) if course]
+    known = [(own, course[0]) for own, course in zip(pasts, courses, strict=True) if course]
     first = [(own, np.asarray(course.readings)[:, 0]) for own, course in known]
     return courses, first_guesses(first)
 

@@ -6,7 +6,7 @@ The error of a base tension moves all readings of its row, and with a history la
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -104,6 +104,76 @@ def _likeliest_spread(statistics: LeastSquaresFit, random: tuple[int, ...]) -> f
 # --- errors of base cells -------------------------------------------------------------------------
 
 
+class SetLevels(NamedTuple):
+    """What was set in the rows of a table; rows of one level share the errors of their cells."""
+
+    name: str
+    table: Measurements
+    bench: Bench
+    level: np.ndarray  # (rows,), 0, 1, ... through all trials
+
+    @property
+    def are_many(self) -> bool:
+        """Whether there are more levels than errors are estimated for."""
+        return int(np.max(self.level)) >= MOST_LEVELS
+
+    @property
+    def are_shared(self) -> bool:
+        """Whether what is set in one level moves several readings."""
+        count = sum(int(np.sum(self.table.has(column))) for column in self.bench.columns)
+        turns = self.bench.course is not None and self.bench.course.turns
+        return turns or count > self.bench.actuation.shape[1] * (int(np.max(self.level)) + 1)
+
+    def slopes(self, uncertain: Mapping[str, int], model: BenchModel, at: Parameters) -> Slopes:
+        """By label of each uncertain tendon and group of data, (readings, levels), the derivatives by what was set.
+
+        They are over the root of the number of different readings of a level. Equal ones are one: the noise of a cell
+        makes no equal readings.
+        """
+        by_base = self.bench.evaluate(model.manipulator, jax.tree.map(np.asarray, at), model.nodes).by_base
+        return {label: self._by_tendon(by_base, tendon) for label, tendon in uncertain.items()}
+
+    def _by_tendon(self, by_base: Mapping[str, np.ndarray], tendon: int) -> dict[str, np.ndarray]:
+        tendons, rows = self.bench.actuation.shape[1], np.arange(len(self.table))
+        different = np.unique(np.stack([self.level, self.bench.actuation[:, tendon]]), axis=1)[0].astype(int)
+        size = np.sqrt(np.bincount(different))
+        found = {}
+        for column in self.bench.columns:
+            slope = np.asarray(by_base[column]).reshape(len(self.table), -1, tendons)[:, :, tendon]
+            whole = np.zeros((len(self.table), size.size))
+            whole[rows, self.level] = slope[:, 0]
+            if (course := self.bench.course) is not None:
+                for trial, steps in enumerate(course.turn_steps):
+                    own = np.flatnonzero(np.asarray(course.trial) == trial)
+                    for turn, step in enumerate(steps.tolist()):
+                        there = own[np.asarray(course.step)[own] == step]
+                        if there.size:
+                            whole[own, self.level[there[0]]] = slope[own, 1 + turn]
+            found[f"{self.name}: {column}"] = (whole / size)[self.table.has(column)]
+        return found
+
+
+def levels_of(model: BenchModel, tables: Sequence[Measurements]) -> list[SetLevels]:
+    """One for each table of the manipulator."""
+    named = zip(model.names, tables, model.experiments, strict=True)
+    return [
+        SetLevels(name, table, bench, _levels(table, bench)) for name, table, bench in named if isinstance(bench, Bench)
+    ]
+
+
+def _levels(table: Measurements, bench: Bench) -> np.ndarray:
+    """The level of each row, counted through all trials."""
+    if bench.course is not None:
+        trial, step = np.asarray(bench.course.trial), np.asarray(bench.course.step)
+        return np.unique(np.stack([trial, step]), axis=1, return_inverse=True)[1].ravel()
+    level, count = np.zeros(len(table), int), 0
+    for own in table.trials:
+        moved = np.any(np.diff(bench.actuation[own], axis=0) != 0, axis=1)
+        level[own] = count + np.cumsum(np.append(False, moved))
+        count = int(np.max(level[own])) + 1
+    return level
+
+
 def errors_of_base(model: BenchModel, tables: Sequence[Measurements], noise: Mapping[str, float]) -> InputErrors | None:
     """The base tensions as inputs with errors; None where none has any.
 
@@ -117,102 +187,26 @@ def errors_of_base(model: BenchModel, tables: Sequence[Measurements], noise: Map
         noise: by column, the stated standard deviation, N.
     """
     sigma, largest, found = {}, {}, []
-    for name, table, bench in zip(model.names, tables, model.experiments, strict=True):
-        if not isinstance(bench, Bench):
-            continue
-        levels, uncertain = _levels(table, bench), {}
-        estimable = _is_shared(table, bench, levels) and np.max(levels) < MOST_LEVELS
-        for tendon, column in enumerate(set_by(table.columns)):
+    for levels in levels_of(model, tables):
+        estimable, uncertain = levels.are_shared and not levels.are_many, {}
+        for tendon, column in enumerate(set_by(levels.table.columns)):
             stated = noise.get(column, noise.get(kind_of_set(column)))
-            most = LARGEST_JITTER * float(np.ptp(np.append(table[column], 0.0)))
-            if stated == 0 or not most > 0 or (stated is None and not estimable):
-                continue
-            sigma[label := f"{name}: {column}"] = stated
-            largest[label], uncertain[label] = most, tendon
-        found.append(partial(_slopes, name, table, bench, model, levels, uncertain))
+            most = LARGEST_JITTER * float(np.ptp(np.append(levels.table[column], 0.0)))
+            if stated != 0 and most > 0 and (stated is not None or estimable):
+                label = f"{levels.name}: {column}"
+                sigma[label], largest[label], uncertain[label] = stated, most, tendon
+        found += [partial(levels.slopes, uncertain, model)] * bool(uncertain)
     return InputErrors(partial(_all_slopes, found), sigma, largest) if sigma else None
+
+
+def _all_slopes(found: Sequence[Callable[[Parameters], Slopes]], at: Parameters) -> Slopes:
+    return {label: slopes for of_table in found for label, slopes in of_table(at).items()}
 
 
 def many_levels(model: BenchModel, tables: Sequence[Measurements], noise: Mapping[str, object]) -> list[str]:
     """The names of the tables whose noise of base tension is neither stated nor estimated, as there are many levels."""
-    every = zip(model.names, tables, model.experiments, strict=True)
-    benches = [(name, table, bench, _levels(table, bench)) for name, table, bench in every if isinstance(bench, Bench)]
     return [
-        name
-        for name, table, bench, levels in benches
-        if not {*map(kind_of_set, set_by(table.columns))} <= set(noise)
-        and np.max(levels) >= MOST_LEVELS
-        and _is_shared(table, bench, levels)
+        levels.name
+        for levels in levels_of(model, tables)
+        if levels.are_many and levels.are_shared and not {*map(kind_of_set, set_by(levels.table.columns))} <= set(noise)
     ]
-
-
-def _is_shared(table: Measurements, bench: Bench, levels: np.ndarray) -> bool:
-    """Whether a base tension moves several readings."""
-    count = sum(int(np.sum(table.has(column))) for column in bench.columns)
-    turns = bench.course is not None and bench.course.turns
-    return turns or count > bench.actuation.shape[1] * (int(np.max(levels)) + 1)
-
-
-def _all_slopes(found: Sequence[Callable[[Parameters], Slopes]], at: Parameters) -> Slopes:
-    return {label: slopes for of_bench in found for label, slopes in of_bench(at).items()}
-
-
-def _levels(table: Measurements, bench: Bench) -> np.ndarray:
-    """(rows,), the level of each row, counted through all trials: rows of a level share the errors of their cells."""
-    if bench.course is not None:
-        trial, step = np.asarray(bench.course.trial), np.asarray(bench.course.step)
-        return np.unique(np.stack([trial, step]), axis=1, return_inverse=True)[1].ravel()
-    level, count = np.zeros(len(table), int), 0
-    for own in table.trials:
-        moved = np.any(np.diff(bench.actuation[own], axis=0) != 0, axis=1)
-        level[own] = count + np.cumsum(np.append(False, moved))
-        count = int(np.max(level[own])) + 1
-    return level
-
-
-def _slopes(
-    name: str,
-    table: Measurements,
-    bench: Bench,
-    model: BenchModel,
-    levels: np.ndarray,
-    uncertain: Mapping[str, int],
-    at: Parameters,
-) -> Slopes:
-    """By label of each uncertain tendon and group of data, (readings, levels), the derivatives by its base tensions.
-
-    They are over the root of the number of different readings of a level. Equal ones are one: the noise of a cell makes
-    no equal readings.
-    """
-    if not uncertain:
-        return {}
-    by_base = bench.evaluate(model.manipulator, jax.tree.map(np.asarray, at), model.nodes).by_base
-    given = name, table, bench, levels, by_base
-    return {label: _by_tendon(*given, tendon) for label, tendon in uncertain.items()}
-
-
-def _by_tendon(
-    name: str,
-    table: Measurements,
-    bench: Bench,
-    levels: np.ndarray,
-    by_base: Mapping[str, np.ndarray],
-    tendon: int,
-) -> dict[str, np.ndarray]:
-    tendons, rows = bench.actuation.shape[1], np.arange(len(table))
-    different = np.unique(np.stack([levels, bench.actuation[:, tendon]]), axis=1)[0].astype(int)
-    size = np.sqrt(np.bincount(different))
-    found = {}
-    for column in bench.columns:
-        slope = np.asarray(by_base[column]).reshape(len(table), -1, tendons)[:, :, tendon]
-        whole = np.zeros((len(table), size.size))
-        whole[rows, levels] = slope[:, 0]
-        if (course := bench.course) is not None:
-            for trial, steps in enumerate(course.turn_steps):
-                own = np.flatnonzero(np.asarray(course.trial) == trial)
-                for turn, step in enumerate(steps.tolist()):
-                    there = own[np.asarray(course.step)[own] == step]
-                    if there.size:
-                        whole[own, levels[there[0]]] = slope[own, 1 + turn]
-        found[f"{name}: {column}"] = (whole / size)[table.has(column)]
-    return found

@@ -7,7 +7,8 @@ row.
 
 import re
 from collections.abc import Collection, Mapping, Sequence
-from typing import Literal, NamedTuple, cast
+from itertools import pairwise
+from typing import Literal, cast
 
 import equinox as eqx
 import jax
@@ -27,24 +28,35 @@ One = float | Literal["rest"] | Sequence[float]
 Before = One | Sequence[One]
 
 
-class Start(NamedTuple):
-    """How a trial begins, by tendon; empty for rest."""
+class Past(eqx.Module):
+    """The base tensions before the first row of each trial of a table, by trial and tendon."""
 
-    tension: tuple[float | None, ...] = ()  # N, as read; None for that of the first row, or for one to be fitted
-    parameters: tuple[str, ...] = ()  # the parameters that are fitted; "" where none is
+    stated: Float[np.ndarray | Array, "trials tendons"]  # N, as read; 0 at rest, NaN for that of the first row
+    parameters: tuple[tuple[str, ...], ...] = eqx.field(static=True)  # those that are fitted; "" where none is
 
     @property
-    def from_rest(self) -> bool:
-        return not any(self.parameters) and all(tension is None for tension in self.tension)
+    def at_rest(self) -> bool:
+        """Whether all trials begin at rest."""
+        return not any(map(any, self.parameters)) and not np.any(self.stated)
 
+    def followed_by(self, first: Float[np.ndarray, "trials tendons"], places: Sequence[str]) -> "Past":
+        """The same with all tensions known.
 
-class Past(eqx.Module):
-    """The base tensions before the first row of each trial of a table."""
+        Args:
+            first: the readings of the first rows, N.
+            places: of these rows, in words for messages.
 
-    stated: Float[np.ndarray | Array, "trials tendons"]  # N, as read; 0 where the trial began at rest
-    parameters: tuple[tuple[str, ...], ...] = eqx.field(
-        static=True
-    )  # of each trial and tendon; "" where none is fitted
+        Raises:
+            InputError: where the largest tension of a single tendon is smaller than that of the first row.
+        """
+        stated = np.where(np.isnan(self.stated), first, self.stated)
+        for one, row, place in zip(stated, first, places, strict=True):
+            if one.size == 1 and 0 < one[0] < row[0]:
+                raise InputError(
+                    f"{place}: before must be the largest base tension up to this row, {row[0]:.6g} N or more, got "
+                    f"{one[0]:.6g} N"
+                )
+        return Past(stated, self.parameters)
 
     def tension(self, parameters: Mapping[str, ArrayLike]) -> Float[Array, "trials tendons"]:
         """The tensions before the first rows, as read, N."""
@@ -80,8 +92,8 @@ def _place(name: str) -> tuple[int, int | None] | None:
     return int(tendon or 1), None if trial is None else int(trial)
 
 
-def starts_of(counts: Sequence[int], before: Before, free: Collection[str], tendons: int = 1) -> list[list[Start]]:
-    """How each trial begins, by table.
+def pasts_of(counts: Sequence[int], before: Before, free: Collection[str], tendons: int = 1) -> list[Past]:
+    """How the trials of each table begin.
 
     Args:
         counts: numbers of trials, by table; 0 for a table without a history.
@@ -94,7 +106,7 @@ def starts_of(counts: Sequence[int], before: Before, free: Collection[str], tend
             trials, or the parameter of a trial or tendon that does not exist.
     """
     check_numbers("before", [entry for entry in jax.tree.leaves(before) if not isinstance(entry, str)])
-    total, listed = sum(counts), not isinstance(before, str) and np.ndim(_ragged(before)) > 0
+    total, listed = sum(counts), not np.isscalar(before)
     fitted = {place: name for name in free if (place := _place(name))}
     given = cast("Sequence[One]", before) if listed else (cast("One", before),)
     entries = [_checked(entry, tendons) for entry in given]
@@ -107,16 +119,14 @@ def starts_of(counts: Sequence[int], before: Before, free: Collection[str], tend
             raise InputError(f"{name} belongs to trial {trial}, but only {total} have a history; fit one of these")
         if tendon > tendons:
             raise InputError(f"{name} belongs to tendon {tendon}, but the body has {tendons}; fit one of these")
-    starts = [
-        _start(entry, k, fitted, tendons, listed) for k, entry in enumerate(entries if listed else entries * total, 1)
-    ]
-    ends = np.cumsum([0, *counts])
-    return [starts[ends[i] : ends[i + 1]] for i in range(len(counts))]
-
-
-def _ragged(before: Before) -> np.ndarray:
-    """An array whose shape shows whether there is one entry or a list; entries may have different lengths."""
-    return np.array(before, object) if np.isscalar(before) else np.empty(len(cast("Sequence[One]", before)))
+    stated, parameters = np.zeros((total, tendons)), []
+    for k, entry in enumerate(entries if listed else entries * total):
+        common = None if listed and not entry else fitted  # a trial listed as "rest" has only parameters of its own
+        own = [fitted.get((i, k + 1), (common or {}).get((i, None), "")) for i in range(1, tendons + 1)]
+        stated[k] = entry or (np.nan if any(own) else 0.0)
+        parameters.append(tuple(own))
+    ends = np.cumsum([0, *counts]).tolist()
+    return [Past(stated[i:k], tuple(parameters[i:k])) for i, k in pairwise(ends)]
 
 
 def _checked(entry: One, tendons: int) -> tuple[float, ...]:
@@ -135,47 +145,8 @@ def _checked(entry: One, tendons: int) -> tuple[float, ...]:
     raise InputError(f'before must be "rest" or {what}, got {entry!r}')
 
 
-def _start(
-    entry: tuple[float, ...], number: int, fitted: Mapping[tuple[int, int | None], str], tendons: int, listed: bool
-) -> Start:
-    """How trial `number`, from 1, begins. One listed as "rest" begins at rest, unless it has a parameter of its own."""
-
-    def parameter(tendon: int) -> str:
-        common = "" if listed and not entry else fitted.get((tendon, None), "")
-        return fitted.get((tendon, number), common)
-
-    return Start(entry or (None,) * tendons, tuple(parameter(tendon) for tendon in range(1, tendons + 1)))
-
-
-def past_of(starts: Sequence[Start], first: Float[np.ndarray, "trials tendons"], places: Sequence[str]) -> Past | None:
-    """The tensions before the trials of a table; None where all began at rest.
-
-    Args:
-        starts: how the trials begin.
-        first: their first readings, N.
-        places: of these rows, in words for messages.
-
-    Raises:
-        InputError: where the largest tension of a single tendon is smaller than that of the first row.
-    """
-    if all(start.from_rest for start in starts):
-        return None
-    stated = np.zeros_like(first)
-    for i, (start, place) in enumerate(zip(starts, places, strict=True)):
-        if start.from_rest:
-            continue
-        given = np.array(start.tension, float)
-        stated[i] = np.where(np.isnan(given), first[i], given)
-        if given.size == 1 and given[0] < first[i, 0]:
-            raise InputError(
-                f"{place}: before must be the largest base tension up to this row, {first[i, 0]:.6g} N or more, got "
-                f"{given[0]:.6g} N"
-            )
-    return Past(stated, tuple(start.parameters for start in starts))
-
-
 def first_guesses(
-    tables: Sequence[tuple[Sequence[Start], Float[np.ndarray, "trials tendons"]]],
+    tables: Sequence[tuple[Past, Float[np.ndarray, "trials tendons"]]],
 ) -> dict[str, tuple[float, float]]:
     """By parameter, where the search starts, and the lower bound, N.
 
@@ -184,15 +155,15 @@ def first_guesses(
     had less.
 
     Args:
-        tables: the trials of each table, and their first readings, N.
+        tables: the trials of each table, and the readings of their first rows, N.
     """
     stated: dict[str, float] = {}
     firsts: dict[str, tuple[int, np.ndarray]] = {}  # the tendon, and the first row of the trial where it has most
-    for starts, rows in tables:
-        for start, row in zip(starts, rows, strict=True):
-            for i, name in enumerate(start.parameters):
+    for past, rows in tables:
+        for own, names, row in zip(np.nan_to_num(past.stated), past.parameters, rows, strict=True):
+            for i, name in enumerate(names):
                 if name:
-                    stated[name] = max(stated.get(name, 0.0), start.tension[i] or 0.0)
+                    stated[name] = max(stated.get(name, 0.0), float(own[i]))
                     if name not in firsts or row[i] > firsts[name][1][i]:
                         firsts[name] = i, row
     found = {}
