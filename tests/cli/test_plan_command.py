@@ -10,7 +10,7 @@ from places import DATA
 import cddf_jax as cddf
 
 PAPER, LOAD_CELLS = (DATA / name for name in ("smooth_sil_940.toml", "load_cells_simulated.csv"))
-ANGLES = cddf.Candidate("angles", {"base_tension": [20.0, 40.0, 60.0]}, {"tip_angle": np.radians(1.0)}, 1.5)
+ANGLES = cddf.Candidate("angles", {"base_tension": [20.0, 40.0, 60.0]}, {"tip_angle": np.radians(1.0)})
 DRUM = cddf.Candidate("pulley", {"wrap_angle": np.radians([90, 180]), "weight": 10.0}, {"pulling_tension": 0.5})
 
 
@@ -39,7 +39,6 @@ def test_the_command_ranks_as_the_call_does(run, tmp_path, two_candidates):
     assert pulley["standard_error"]["youngs_modulus"] is None  # infinite
     assert pulley["status"]["friction_coefficient"] == "identified"
     assert json.loads((out / "plan.json").read_text()) == answer
-    assert {row["name"]: row["cost"] for row in answer["ranking"]} == {"angles": 1.5, "pulley": 1.0}
     assert (out / "plan.md").read_text().startswith("# What to measure next")
 
 

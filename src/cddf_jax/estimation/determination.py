@@ -51,7 +51,6 @@ class Determination:
     correlation: np.ndarray  # of the same
     rank: int  # how many directions the data determine
     condition_number: float  # of the Jacobian scaled by noise and size of the parameters; inf without full rank
-    sloppy_direction: dict[str, float]  # powers of the parameters in the least determined combination
 
     def __str__(self) -> str:
         lines = []
@@ -88,8 +87,6 @@ def determine(evidence: Evidence) -> Determination:
     low, high = np.where(open_ended, lower, low), np.where(open_ended, upper, high)
     high[list(evidence.bounded_above)] = limit[list(evidence.bounded_above)]
     spread = np.sqrt(np.diag(spectrum.covariance))
-    sloppy = spectrum.directions[-1] / max(np.abs(spectrum.directions[-1]).max(), TINY)
-    sloppy = sloppy * np.sign(sloppy[np.argmax(np.abs(sloppy) > NEGLIGIBLE_POWER)])  # the first that matters: positive
     with_products = evidence.products and evidence.noise_known and not evidence.failed
 
     def by_name(values: Iterable[T]) -> dict[str, T]:
@@ -107,7 +104,6 @@ def determine(evidence: Evidence) -> Determination:
         correlation=spectrum.covariance / np.maximum(np.outer(spread, spread), TINY),
         rank=rank,
         condition_number=float(spectrum.values[0] / spectrum.values[-1]) if rank == len(names) else np.inf,
-        sloppy_direction=by_name(sloppy.tolist()),
     )
 
 

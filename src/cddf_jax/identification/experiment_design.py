@@ -51,13 +51,11 @@ class Candidate:
             of one length: base tensions, displacements, and known forces as in tables (`tip_force_y`, `force_y@60mm`).
             With a column `step` they are set in this order, from rest.
         noise: standard deviation of each column that is read, SI, or `Noise(floor, fraction)` of the reading.
-        cost: of the whole experiment, for instance in hours; candidates are ranked by gain per cost.
     """
 
     name: str
     conditions: Mapping[str, ArrayLike | Sequence[ArrayLike]]
     noise: Mapping[str, float | Noise]
-    cost: float = 1.0
 
     def __post_init__(self):
         for column, numbers in (*self.conditions.items(), *self.noise.items()):
@@ -65,8 +63,6 @@ class Candidate:
         known = all(not isinstance(noise, Noise) or None not in noise for noise in self.noise.values())
         if not self.noise or not known or not all(_deviation(noise, 1.0) > 0 for noise in self.noise.values()):
             raise InputError(f"candidate {self.name!r}: noise must name what is read, with standard deviations > 0")
-        if not 0 < self.cost < np.inf:
-            raise InputError(f"candidate {self.name!r}: cost must be a number > 0, got {self.cost}")
 
 
 def _deviation(noise: float | Noise, reading: np.ndarray | float) -> np.ndarray:
@@ -95,7 +91,7 @@ class Plan:
 
     criterion: str  # "D" or the name of a parameter
     now: Determination  # what is determined so far
-    ranking: tuple[Ranked, ...]  # the best first, by gain per cost
+    ranking: tuple[Ranked, ...]  # the best first
     chosen: tuple[Ranked, ...]  # each is the best after those before it; `expected` includes them
 
     def __str__(self) -> str:
@@ -203,7 +199,7 @@ def _rank(
     for candidate, (more, warnings) in zip(candidates, rows, strict=True):
         after = _with(evidence, more)
         ranked.append((Ranked(candidate, determine(after), _merit(after, criterion) - before, warnings), after))
-    return sorted(ranked, key=lambda pair: -pair[0].gain / pair[0].candidate.cost)
+    return sorted(ranked, key=lambda pair: -pair[0].gain)
 
 
 def _merit(evidence: Evidence, criterion: str) -> float:

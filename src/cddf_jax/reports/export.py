@@ -110,7 +110,7 @@ def as_frame(what: Equilibrium | History | Determination | Measurements | Plan) 
             return pandas.DataFrame({head: trials if n == "trial" else what[n] for n, head in heads.items()})
         case Plan():
             rows = [
-                {"candidate": ranked.candidate.name, "gain": ranked.gain, "cost": ranked.candidate.cost}
+                {"candidate": ranked.candidate.name, "gain": ranked.gain}
                 | {f"{name} [{unit_of(name)}]": ranked.expected.standard_error[name] for name in what.now.names}
                 for ranked in what.ranking
             ]

@@ -39,7 +39,7 @@ OF_FIT = (
 )
 OF_DETERMINATION = (
     *("names", "value", "standard_error", "confidence_interval", "status", "combinations", "sums", "correlation"),
-    *("rank", "condition_number", "sloppy_direction"),
+    *("rank", "condition_number"),
 )
 
 

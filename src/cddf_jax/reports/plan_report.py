@@ -19,12 +19,12 @@ def plan_as_markdown(plan: Plan) -> str:
     lines = ["# What to measure next", "", f"- now: {_known_in_words(plan.now)}"]
     for i, ranked in enumerate(plan.chosen, 1):
         lines.append(f"- {i}. {ranked.candidate.name}: then {_known_in_words(ranked.expected)}")
-    head = ("candidate", "cost", "gain", "expected standard error", "identified")
+    head = ("candidate", "gain", "expected standard error", "identified")
     lines += ["", *markdown_table(head, [_row(ranked) for ranked in plan.ranking])]
     gain = "growth of the logarithm of the determinant of the Fisher information (D-optimality)"
     if plan.criterion != "D":
         gain = f"fall of the logarithm of the standard error of {plan.criterion} (c-optimality)"
-    lines += ["", f"Gain: {gain}, each candidate alone; ranked by gain per cost.", ""]
+    lines += ["", f"Gain: {gain}, each candidate alone.", ""]
     return "\n".join(lines + [f"- warning: {r.candidate.name}: {text}" for r in plan.ranking for text in r.warnings])
 
 
@@ -34,7 +34,7 @@ def _row(ranked: Ranked) -> list[str]:
     lost = [name for name in expected.names if expected.status[name] == NOT_IDENTIFIED]
     identified = f"all but {', '.join(lost)}" if lost else "all"
     gain = f"{ranked.gain:.2f}".replace("-0.00", "0.00")
-    return [ranked.candidate.name, f"{ranked.candidate.cost:g}", gain, errors, identified]
+    return [ranked.candidate.name, gain, errors, identified]
 
 
 def _known_in_words(known: Determination) -> str:
@@ -54,7 +54,7 @@ def plan_as_dict(plan: Plan) -> dict[str, object]:
 def _ranked_as_dict(ranked: Ranked) -> dict[str, object]:
     expected = ranked.expected
     return {
-        **picked(ranked.candidate, ("name", "cost")),
+        "name": ranked.candidate.name,
         **picked(ranked, ("gain", "warnings")),
         "unit": {name: unit_of(name) for name in (*expected.names, *expected.combinations)},
         **picked(expected, ("standard_error", "status", "combinations")),
