@@ -26,9 +26,9 @@ from ..numerics.given_numbers import check_numbers
 from ..progress import each
 from ..robot.manipulator import Manipulator
 from ..statics.status import NOTEWORTHY, words_of
-from .bench import Bench, Pulley, experiment_of
-from .course import course_of, how_followed, paths_of
+from .bench import Bench, Pulley
 from .fit import Fit
+from .fit_inputs import unread_rows
 from .parameters import (
     PLAIN,
     BenchSetting,
@@ -261,11 +261,7 @@ def _experiment(
     columns = {column: np.broadcast_to(values, (count,)) for column, values in conditions.items()}
     columns |= {column: np.zeros(count) for column in candidate.noise}
     table = Measurements.from_columns(name, **columns)
-    course, paths = None, paths_of(table, None)
-    if paths:
-        how = how_followed(body, (*parameters, *setting.given), setting.loads)
-        course = course_of(table, dict.fromkeys(SET, 0.0), paths=paths, **how)[0]
-    return experiment_of(table, body, course=course, setting=setting, free=("angle_zero",))  # no reading is known yet
+    return unread_rows(table, body, setting, [*parameters])
 
 
 def standard_candidates(

@@ -27,8 +27,8 @@ from ..robot.manipulator import Manipulator
 from ..statics.arguments import refuse_batch
 from . import bench
 from .camera import camera_start, check_reach, frame_hint, unexplained_pose
-from .course import CLOSE, EACH, SHORT_STEPS, how_followed
-from .fit_inputs import courses_of, noise_of, split_noise, trials_of
+from .course import CLOSE, EACH, SHORT_STEPS
+from .fit_inputs import courses_of, noise_of, split_noise, trials_of, unread_rows
 from .parameters import (
     PLAIN,
     TRIALS,
@@ -45,7 +45,7 @@ from .predictions import (
     Prediction,
     beyond_the_data,
     moved_by_finer_steps,
-    predicted_rows,
+    rows_to_predict,
 )
 from .random_effects import errors_of_base, fit_trials
 from .rivals import Rival, alike_in_words, rivals_of
@@ -183,7 +183,7 @@ class Fit(LeastSquaresFit):
 
         Args:
             column: "tip_tension", "tip_tension_2", "tip_angle", "tip_x", "tip_y", "tip_z" of a body in space, or the
-                column of a marker of the data, "x@120mm".
+                column of a marker, "x@120mm".
             base_tension: N, (rows,) where every tendon has the same tension, or (rows, tendons).
             tip_force: N, (2,) or (rows, 2), of a body in space (3,) or (rows, 3).
             force_at: forces at other places, N, in the same shapes, by their arc lengths, m: {0.060: (0.0, -1.0)}.
@@ -197,23 +197,20 @@ class Fit(LeastSquaresFit):
         Raises:
             InputError: for another column, conditions of other shapes, or a path that `fit` could not follow.
         """
-        body, setting = self.manipulator, self._setting(column)
-        how = how_followed(body, (*self.names, *setting.given), setting.loads)
+        more = {column if marker_column(column) else "tip_angle": 0.0}  # something that is read
+        more |= {} if time is None else {"time": time}
         pulls = {"base_tension": base_tension, "displacement": displacement}
-        path = {"time": time, "history": history, "short_steps": self.options["short_steps"]}
         forces = {ON_TIP: tip_force} | {f"{float(place)!r}m": force for place, force in (force_at or {}).items()}
-        wanted = predicted_rows(pulls, forces, body, setting, **path, **how)
+        table = rows_to_predict(pulls, forces, self.manipulator.num_tendons, more)
+        known = {name: place for own in self.tables for name, place in own.markers.items()}
+        setting = replace(self.setting, markers={**known, **self.setting.markers})
+        wanted = unread_rows(table, self.manipulator, setting, self.names, history, self.options["short_steps"])
+        assert isinstance(wanted, bench.Bench)
         shown = wanted.evaluate(self.model.manipulator, self.parameters, self.model.nodes)
         if column not in shown.readings:
             raise InputError(f"predict: {column!r} is not a reading; there are {', '.join(shown.readings)}")
         band = self.band(shown.derivatives[column])
         return Prediction(shown.readings[column], band, beyond_the_data(wanted, self.model))
-
-    def _setting(self, column: str) -> bench.AllRows:
-        """The setting of the first table with that column, or else of the first table of the manipulator."""
-        found = [one for one in self.model.experiments if isinstance(one, bench.Bench)]
-        with_it = [one for one in found if column in one.columns]
-        return next((one.setting for one in with_it or found), bench.AllRows())
 
     @property
     def contradicted(self) -> LeftOut:

@@ -9,14 +9,14 @@ from jaxtyping import ArrayLike
 from ..errors import InputError
 from ..estimation.observations import Noise
 from ..measurements.jitter import Steady
-from ..measurements.readings import kind_of_set, set_by
+from ..measurements.readings import SET, kind_of_set, set_by
 from ..measurements.table import Measurements
 from ..numerics.given_numbers import check_numbers
 from ..quantities import dimension_of
 from ..robot.manipulator import Manipulator
 from ..units import si_unit
-from .bench import Group
-from .course import Course, course_of, how_followed, paths_of
+from .bench import Bench, Group, Pulley, experiment_of
+from .course import SHORT_STEPS, Course, course_of, how_followed, paths_of
 from .parameters import BenchSetting, along_a_path, trial_of
 from .tension_before import Before, first_guesses, pasts_of
 
@@ -59,6 +59,25 @@ def courses_of(
     known = [(own, course[0]) for own, course in zip(pasts, courses, strict=True) if course]
     first = [(own, np.asarray(course.readings)[:, 0]) for own, course in known]
     return courses, first_guesses(first)
+
+
+def unread_rows(
+    table: Measurements,
+    body: Manipulator,
+    setting: BenchSetting,
+    parameters: Sequence[str],
+    history: bool | None = None,
+    short_steps: int = SHORT_STEPS,
+) -> Pulley | Bench:
+    """The rows of a table whose readings are not known yet; what was set is exact. Arguments as in `fit`.
+
+    `parameters`: those that are fitted.
+    """
+    course, paths = None, paths_of(table, history)
+    if paths:
+        how = how_followed(body, (*parameters, *setting.given), setting.loads)
+        course, _ = course_of(table, dict.fromkeys(SET, 0.0), short_steps=short_steps, paths=paths, **how)
+    return experiment_of(table, body, course=course, setting=setting, free=("angle_zero",))  # readings are no zeros
 
 
 def split_noise(

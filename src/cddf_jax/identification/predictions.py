@@ -5,22 +5,20 @@ Also: which predictions lie beyond the data, and how far finer steps along a his
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import ArrayLike
 
-from ..errors import InputError, within
+from ..errors import InputError
 from ..estimation.least_squares import LeastSquaresFit
-from ..measurements.forces import ON_TIP, check_on_body, column_of_force, forces_of
+from ..measurements.forces import ON_TIP, column_of_force
 from ..measurements.readings import of_tendons
 from ..measurements.table import Measurements
 from ..numerics.arrays import evaluated
 from ..numerics.given_numbers import check_numbers
-from ..robot.manipulator import Manipulator
-from .bench import AllRows, Bench, BenchModel, Group
-from .course import course_of, paths_of
+from .bench import Bench, BenchModel, Group
 from .parameters import TRIALS
 
 SPANNED = 1e-9  # of the largest tension or force: rows as close to the range of the data count as inside
@@ -36,20 +34,16 @@ class Prediction(NamedTuple):
     extrapolated: np.ndarray  # True beyond the base tensions, displacements or forces of the data
 
 
-def predicted_rows(
-    pulls: Mapping[str, Numbers | None],
-    forces: Mapping[str, Numbers],
-    body: Manipulator,
-    setting: AllRows,
-    *,
-    time: ArrayLike | None = None,
-    history: bool = False,
-    **how: Any,
-) -> Bench:
-    """The rows to predict; arguments as in `Fit.predict`, and the setting that all rows share.
+def rows_to_predict(
+    pulls: Mapping[str, Numbers | None], forces: Mapping[str, Numbers], num_tendons: int, more: Mapping[str, ArrayLike]
+) -> Measurements:
+    """A table of rows to predict; arguments as in `Fit.predict`.
 
-    `pulls`: "base_tension" and "displacement", one of them None. `forces`: by place, "tip" or "60mm". `how`: as in
-    `course_of`.
+    Args:
+        pulls: "base_tension" and "displacement", one of them None.
+        forces: by place, "tip" or "60mm".
+        num_tendons: of the body.
+        more: further columns, numbers or (rows,).
 
     Raises:
         InputError: for numbers that are not finite, tensions below 0, shapes that do not fit.
@@ -67,29 +61,22 @@ def predicted_rows(
     if kind == "base_tension" and np.any(pull < 0):
         raise InputError(f"predict: base_tension must be 0 N or more, got {np.min(pull):g}; a tendon only pulls")
     pull = pull[:, None] if pull.ndim == 1 else pull
-    rows, tendons, given = len(pull), body.num_tendons, {}
+    rows = len(pull)
     try:
-        pulled = np.broadcast_to(pull, (rows, tendons))
+        pulled = np.broadcast_to(pull, (rows, num_tendons))
+        columns = dict(zip(of_tendons(kind, num_tendons), pulled.T, strict=True))
         for place, force in forces.items():
             shape = rows, 3 if np.shape(force)[-1:] == (3,) else 2
             parts = zip("xyz", np.broadcast_to(np.asarray(force, np.float64), shape).T, strict=False)
-            given |= {column_of_force(axis, place): own for axis, own in parts}
+            columns |= {column_of_force(axis, place): own for axis, own in parts}
+        columns |= {name: np.broadcast_to(np.asarray(own, np.float64), rows) for name, own in more.items()}
     except ValueError:
         got = ", ".join(str(np.shape(one)) for one in (pull, *forces.values()))
         raise InputError(
-            f"predict: needs {kind} (rows,) or (rows, {tendons}), {', '.join(names.values())} (2,) or (rows, 2), in "
-            f"space (3,) or (rows, 3); got {got}"
+            f"predict: needs {kind} (rows,) or (rows, {num_tendons}), {', '.join(names.values())} (2,) or (rows, 2), "
+            f"in space (3,) or (rows, 3); got {got}"
         ) from None
-    with within("predict"):
-        places, own = forces_of(given, rows)
-        check_on_body(places, float(np.asarray(body.length)))
-    course, setting = None, replace(setting, force_at=tuple(places.values()))
-    if history or kind == "displacement":
-        columns = dict(zip(of_tendons(kind, tendons), pulled.T, strict=True)) | given
-        columns |= {} if time is None else {"time": np.asarray(time, np.float64)}
-        path = Measurements("predict", columns, np.arange(1, rows + 1))
-        course, _ = course_of(path, {kind: 0.0}, paths=paths_of(path, history), **how)
-    return Bench(pulled, (None,) * tendons, own if np.any(own) else None, course=course, setting=setting)
+    return Measurements("predict", columns, np.arange(1, rows + 1))
 
 
 def beyond_the_data(wanted: Bench, model: BenchModel) -> np.ndarray:
