@@ -111,42 +111,33 @@ class Evidence:
     failed: bool = False  # whether the fit failed, so that nothing is identified
 
     def of(self, groups: Collection[str], with_priors_of: Collection[str] = ()) -> "Evidence":
-        """Only some groups of the data, and only the priors of the named parameters."""
+        """Only some groups of the data, and only the priors of the named parameters.
+
+        The rows are whitened anew: what they have in common with other rows no longer counts.
+        """
         if unknown := [name for name in groups if name not in self.rows]:
             raise KeyError(unknown[0])
-        found = self._selected({name: np.full(len(own), name in groups) for name, own in self.rows.items()})
         kept = [name for name in self.rows if name in groups]  # in the order of `shared`
+        which = np.concatenate([np.full(len(own), name in groups) for name, own in self.rows.items()])
+        raw = self.shared.unwhitened(without_nan(np.concatenate([*self.rows.values()])))
+        shared = self.shared.at(which)
+        ends = np.cumsum([len(self.rows[name]) for name in kept])[:-1]
         return replace(
-            found,
-            rows={name: found.rows[name] for name in kept},
+            self,
+            rows=dict(zip(kept, np.split(shared.whitened(raw[which]), ends), strict=True)),
             prior_rows={i: row for i, row in self.prior_rows.items() if self.space.names[i] in with_priors_of},
             noise_slopes={name: self.noise_slopes[name] for name in kept},
+            shared=shared,
             random=tuple(i for i in self.random if self.space.names[i] in with_priors_of),
+            open_profile=(),
+            bounded_above=(),
+            ends=None,
         )
 
     def enlarged(self, factors: Mapping[str, float]) -> "Evidence":
         """With the variance of the noise of some groups times a factor, as where their data are not independent."""
         rows = {name: own / np.sqrt(factors.get(name, 1.0)) for name, own in self.rows.items()}
         return replace(self, rows=rows)
-
-    def _selected(self, kept: Mapping[str, np.ndarray]) -> "Evidence":
-        """Only some rows of each group, whitened anew: what they have in common with other rows no longer counts."""
-        every, count = np.concatenate([*kept.values()]), len(self.shared.basis)
-        whole = without_nan(np.concatenate([*self.rows.values()]))
-        raw = np.concatenate([self.shared.unwhitened(whole[:count]), whole[count:]])[every]
-        shared = self.shared.at(every[:count])
-        count = len(shared.basis)
-        rows = np.concatenate([shared.whitened(raw[:count]), raw[count:]])
-        ends = np.cumsum([np.sum(own) for own in kept.values()])[:-1]
-        return replace(
-            self,
-            rows=dict(zip(kept, np.split(rows, ends), strict=True)),
-            shared=shared,
-            noise_slopes={name: slopes[kept[name]] for name, slopes in self.noise_slopes.items()},
-            open_profile=(),
-            bounded_above=(),
-            ends=None,
-        )
 
     @property
     def nearest_bound(self) -> np.ndarray:

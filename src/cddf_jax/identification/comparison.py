@@ -12,13 +12,12 @@ from .fit import Fit
 
 @dataclass(frozen=True)
 class Comparison:
-    """One model among others. Lower criteria and errors are better."""
+    """One model among others. Lower criteria are better."""
 
     name: str  # as it was given
     num_parameters: int  # including the estimated noise
     AIC: float  # Akaike's criterion
     BIC: float  # Schwarz's criterion
-    mean_relative_error: float  # of the tip tensions, the measure of Liu et al. (2020)
     success: bool  # whether the fit succeeded
 
 
@@ -36,13 +35,7 @@ def compare(fits: Mapping[str, Fit]) -> list[Comparison]:
         if found != first[1]:
             raise InputError(f"compare: {name!r} was fitted to other data than {first[0]!r}; fit the same tables")
     found = [
-        Comparison(
-            name,
-            fit.num_estimated,
-            **fit.information_criteria,
-            mean_relative_error=fit.mean_relative_error,
-            success=fit.success,
-        )
+        Comparison(name, fit.num_estimated, **fit.information_criteria, success=fit.success)
         for name, fit in fits.items()
     ]
     return sorted(found, key=lambda comparison: comparison.AIC)

@@ -88,7 +88,6 @@ class Fit(LeastSquaresFit):
     solve_results: tuple[SolveResults, ...]  # how the solves of each table of the manipulator ended
     without_jitter: dict[str, Steady]  # by table and column that was set, of tables with a history
     setting: BenchSetting  # what all rows share
-    left_out: LeftOut  # by file, the rows whose readings were left out
     options: dict[str, Any]  # the arguments of `fit` besides body and data, and the names of the free parameters
 
     @property
@@ -97,7 +96,8 @@ class Fit(LeastSquaresFit):
         lines = [] if self.success else [f"The fit failed: {self.result}. No parameter is identified."]
         if not self.success and (hint := frame_hint(self, self.groups, self.manipulator)):
             lines.append(hint)
-        lines += [f"Left out: {rows_in_words(self.left_out)}."] if self.left_out else []
+        left_out = self.options["leave_out"]
+        lines += [f"Left out: {rows_in_words(left_out)}."] if left_out else []
         interrupted = self.result == INTERRUPTED
         lines += so_far_in_words(self) if interrupted else estimates_in_words(self, self.bounded_above)
         if TRIALS in self.parameters:
@@ -140,13 +140,6 @@ class Fit(LeastSquaresFit):
     def groups(self) -> list[bench.Group]:
         """The groups of data, in the order of the tables and their columns."""
         return bench.groups_of(self.tables, self.model)
-
-    @property
-    def mean_relative_error(self) -> float:
-        """The mean of |predicted - read| / read over the tip tensions, as in Liu et al. (2020); NaN without any."""
-        pairs = [(self.residuals[g.label], g.observed) for g in self.groups if g.column.startswith("tip_tension")]
-        errors = [np.abs(residual[read > 0] / read[read > 0]) for residual, read in pairs]
-        return float(np.mean(np.concatenate(errors))) if errors else float("nan")
 
     @property
     def num_estimated(self) -> int:
@@ -398,7 +391,7 @@ def fit(
     search = partial(search, seed=seed, accuracy=CLOSE if in_increments else 0.0)
     if not per_trial:
         statistics = search(start, priors=priors, scales=scales, starts=starts)
-        found = _conclude(statistics, tables, model, setting, without_jitter, float("nan"), left_out, options)
+        found = _conclude(statistics, tables, model, setting, without_jitter, float("nan"), options)
         if history is None and found.contradicted:
             given["history"] = EACH
             return fit(manipulator, data, free, leave_out=leave_out, **given)
@@ -407,7 +400,7 @@ def fit(
         remedy = "needs a free friction_coefficient and tables whose column trial names 2 or more"
         raise InputError(f"fit: per_trial {remedy}")
     statistics, spread = fit_trials(search, int(earlier[-1]), start, priors or {}, scales, starts)
-    return _conclude(statistics, tables, model, setting, without_jitter, spread, left_out, options)
+    return _conclude(statistics, tables, model, setting, without_jitter, spread, options)
 
 
 def _without_contradicted(once: Callable[..., Fit]) -> Fit:
@@ -428,7 +421,6 @@ def _conclude(
     setting: BenchSetting,
     without_jitter: dict[str, Steady],
     trial_spread: float,
-    left_out: LeftOut,
     options: dict[str, object],
 ) -> Fit:
     """The result of `fit` from the statistics: the body with the estimates, and how the solves of each table ended."""
@@ -467,6 +459,5 @@ def _conclude(
         solve_results=ends,
         without_jitter=without_jitter,
         setting=setting,
-        left_out=left_out,
         options=options,
     )

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 OF_FIT = (
     *("result", "success", "verdict", "warnings", "noise", "noise_model", "noise_estimated", "input_noise"),
     *("serial_correlation", "neighbours"),
-    *("trial_effects", "trial_spread", "moved_by_steps", "mean_relative_error", "reduced_chi_square"),
+    *("trial_effects", "trial_spread", "moved_by_steps", "reduced_chi_square"),
     *("degrees_of_freedom", "log_likelihood", "information_criteria", "restarted", "num_steps"),
 )
 OF_DETERMINATION = (
@@ -214,11 +214,8 @@ def parameter_rows(determination: Determination) -> list[list[str]]:
 
 
 def _goodness(fit: Fit) -> list[str]:
-    lines = []
-    if np.isfinite(fit.mean_relative_error):
-        error = f"{100 * fit.mean_relative_error:.3g} %"
-        lines.append(f"Mean relative error of the tip tensions, the measure of Liu et al. (2020): {error}.")
     criteria = ", ".join(f"{name} {value:.5g}" for name, value in fit.information_criteria.items())
+    lines = []
     if fit.moved_by_steps:
         most = f"{max(fit.moved_by_steps.values()):.2g} of their standard errors"
         lines.append(f"The increments of the history move the estimates by at most {most}.")
