@@ -4,7 +4,6 @@ Each trial starts from rest, a straight body whose tendon never had a tension, u
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -238,56 +237,6 @@ def _with_backlash(play: ArrayLike, path: Float[Array, "steps tendons"]) -> Floa
     return jax.lax.scan(follow, path[0] + 0.0 * jnp.asarray(play), path)[1]
 
 
-def between(course: Course, points: int) -> tuple[Course, list[np.ndarray]]:
-    """The same paths with `points` points along each, every point a row, trial by trial; and these paths, N or m."""
-    paths, times, readings = [], [], np.asarray(course.readings)[..., 0]
-    for k in range(len(readings)):
-        steps = np.arange(np.max(np.asarray(course.step)[np.asarray(course.trial) == k]) + 1)
-        places = np.union1d(np.linspace(0, steps[-1], points), steps)
-        paths.append(np.interp(places, steps, readings[k, : steps.size]))
-        times += [] if course.time is None else [np.interp(places, steps, course.time[k, : steps.size])]
-    sizes = [path.size for path in paths]
-    trial, step = np.repeat(np.arange(len(paths)), sizes), np.concatenate([*map(np.arange, sizes)])
-    first_row = np.cumsum([0, *sizes[:-1]])
-    columns = [path[:, None] for path in paths]
-    none = [np.zeros((len(path), 1, 2)) for path in columns]
-    found = _course(columns, none, trial, step, first_row, course.past, None, course.by_length, times or None)
-    return replace(found, number=course.number), paths
-
-
-def _course(
-    paths: Sequence[np.ndarray],
-    forces: Sequence[np.ndarray],
-    trial: np.ndarray,
-    step: np.ndarray,
-    first_row: np.ndarray,
-    past: Past | None,
-    short_steps: int | None,
-    by_length: tuple[bool, ...],
-    times: Sequence[np.ndarray] | None = None,
-) -> Course:
-    """From what was set and the forces of each path, (steps, tendons) and (steps, places, components), and times."""
-    longest = max(map(len, paths))
-    if longest > 1:
-        longest += -longest % (STEPS if short_steps is None else FEW_STEPS)
-    readings, force = (
-        np.stack([np.pad(one, ((0, longest - len(one)), *[(0, 0)] * (one.ndim - 1)), mode="edge") for one in every])
-        for every in (paths, forces)
-    )
-    most, acting = 0, force if np.any(force) else None
-    if short_steps is None:
-        above = [] if past is None else [2 * max(np.max(readings), np.max(np.asarray(past.stated)), 1.0)]
-        above = [np.max(readings) + 1, np.min(readings) - 1] if any(by_length) else above  # it may be pulled from slack
-        most = max(_most_open(np.append(above, path)) for path in paths)
-        most *= 1 if times is None else 2  # the turns of a lagging path lie elsewhere
-    alike = (longest > 1) & np.all(force == force[:, :1], axis=(0, 1, 3))  # that of a single row grows with the pull
-    stays = () if acting is None else tuple(alike.tolist())
-    time = None
-    if times is not None:
-        time = np.stack([np.append(own, own[-1] + 1.0 + np.arange(longest - own.size)) for own in times])
-    return Course(readings, trial, step, first_row, most, past, acting, stays, short_steps, by_length, time)
-
-
 def is_driven_by_length(table: Measurements) -> bool:
     """Whether displacements set any tendon, which may then be slack."""
     return any(kind_of(column) == "displacement" for column in set_by(table.columns))
@@ -392,11 +341,31 @@ def course_of(
     tensions = [path[:, : len(pulled)] for path in every]
     forces = [path[:, len(pulled) :].reshape(len(path), *force.shape[1:]) for path in every]
     past = past and past.followed_by(np.array([path[0] for path in tensions]), places)
-    of_rows = trial, step, np.array(first)
     short = None if exact else short_steps
-    course = _course(tensions, forces, *of_rows, past, short, by_length, times if timed else None)
+    readings, acting = _stacked(tensions, short), _stacked(forces, short)
+    size, stays, most, time = readings.shape[1], (), 0, None
+    if np.any(acting):  # that of a single row grows with the pull
+        stays = tuple(((size > 1) & np.all(acting == acting[:, :1], axis=(0, 1, 3))).tolist())
+    if timed:
+        time = np.stack([np.append(own, own[-1] + 1.0 + np.arange(size - own.size)) for own in times])
+    if short is None:
+        above = [] if past is None else [2 * max(np.max(readings), np.max(np.asarray(past.stated)), 1.0)]
+        above = [np.max(readings) + 1, np.min(readings) - 1] if any(by_length) else above  # it may be pulled from slack
+        most = max(_most_open(np.append(above, path)) for path in tensions)
+        most *= 2 if timed else 1  # the turns of a lagging path lie elsewhere
+    acting = acting if np.any(acting) else None
+    course = Course(readings, trial, step, np.array(first), most, past, acting, stays, short, by_length, time)
     steady = {column: _together(rows_of_paths, own) for column, *own in zip(pulled, *found, strict=True)}
     return course, steady
+
+
+def _stacked(paths: Sequence[np.ndarray], short_steps: int | None) -> np.ndarray:
+    """(trials, steps, ...), from (steps, ...) of each path; the last step is repeated, up to a usual number."""
+    longest = max(map(len, paths))
+    if longest > 1:
+        longest += -longest % (STEPS if short_steps is None else FEW_STEPS)
+    added = [((0, longest - len(one)), *[(0, 0)] * (one.ndim - 1)) for one in paths]
+    return np.stack([np.pad(one, more, mode="edge") for one, more in zip(paths, added, strict=True)])
 
 
 def _together(rows: Sequence[np.ndarray], found: Sequence[Steady]) -> Steady:

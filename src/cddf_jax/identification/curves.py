@@ -1,12 +1,15 @@
 """The fitted model beside the rows of its tables, for drawing: curves with bands, and where there are none."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
+from ..measurements.readings import set_by
+from ..measurements.table import Measurements
 from ..mechanics.capstan import pulling_tension
 from .bench import Bench, Group
-from .course import between
+from .course import course_of
 from .fit import Fit
 
 GRID = 100  # points of a curve
@@ -42,15 +45,25 @@ def model_loops(fit: Fit, group: Group) -> list[ModelCurve]:
     course = bench.course if isinstance(bench, Bench) and not bench.on_one_curve else None
     if not isinstance(bench, Bench) or course is None or course.short_steps is not None or course.each_from_rest:
         return []
-    own = None if bench.trial is None else np.asarray(bench.trial)[np.asarray(course.first_row)]
-    course, paths = between(course, GRID)
-    trial = None if own is None else own[np.asarray(course.trial)]
-    rows = Bench(np.concatenate(paths)[:, None], (None,), trial=trial, course=course, setting=bench.setting)
+    (column,) = set_by(group.table.columns)
+    parts: list[np.ndarray] = []  # the path of each trial, N or m, and the times
+    for k, readings in enumerate(np.asarray(course.readings)[..., 0]):
+        steps = np.arange(np.max(np.asarray(course.step)[np.asarray(course.trial) == k]) + 1)
+        places = np.union1d(np.linspace(0, steps[-1], GRID), steps)
+        own = [readings] if course.time is None else [readings, np.asarray(course.time)[k]]
+        parts.append(np.stack([np.interp(places, steps, numbers[: steps.size]) for numbers in own]))
+    path, *time = np.concatenate(parts, axis=1)
+    trial = np.repeat(np.arange(len(parts)), [part.shape[1] for part in parts])
+    columns = {column: path, "trial": trial} | dict(zip(["time"], time, strict=False))
+    table = Measurements("curve", columns, np.arange(path.size))
+    dense, _ = course_of(table, {column: 0.0}, course.past, timed=course.time is not None)
+    own = None if bench.trial is None else np.asarray(bench.trial)[np.asarray(course.first_row)][trial]
+    dense = replace(dense, number=course.number)
+    rows = Bench(path[:, None], (None,), trial=own, course=dense, setting=bench.setting)
     shown = rows.evaluate(fit.model.manipulator, fit.parameters, fit.model.nodes)
     value, band = shown.readings[group.column], fit.band(shown.derivatives[group.column])
-    ends = np.cumsum([path.size for path in paths])[:-1]
-    parts = (np.split(numbers, ends) for numbers in (value, band))
-    return [ModelCurve(*numbers) for numbers in zip(paths, *parts, strict=True)]
+    ends = np.flatnonzero(np.diff(trial)) + 1
+    return [ModelCurve(*own) for own in zip(*(np.split(one, ends) for one in (path, value, band)), strict=True)]
 
 
 def half_width(fit: Fit, group: Group) -> np.ndarray:
