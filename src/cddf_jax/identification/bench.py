@@ -71,6 +71,8 @@ class Pulley(eqx.Module):
     wrap_angle: Float[np.ndarray | Array, " rows"]
     name: str = eqx.field(default="", static=True)
     columns: tuple[str, ...] = eqx.field(default=("pulling_tension",), static=True)
+    course: None = None  # its rows have no history
+    in_order: bool = eqx.field(default=False, static=True)
 
     def predict(self, manipulator: Manipulator, parameters: Parameters, nodes: int) -> dict[str, Array]:
         mu = with_parameters(manipulator, parameters).friction_coefficient
@@ -404,6 +406,12 @@ def groups_of(tables: Sequence[Measurements], model: BenchModel) -> list[Group]:
         for name, table, experiment in zip(model.names, tables, model.experiments, strict=True)
         for column in experiment.columns
     ]
+
+
+def benches_of(tables: Sequence[Measurements], model: BenchModel) -> list[tuple[str, Measurements, Bench]]:
+    """The tables of the manipulator: name, table, and its rows as the model takes them."""
+    named = zip(model.names, tables, model.experiments, strict=True)
+    return [(name, table, one) for name, table, one in named if isinstance(one, Bench)]
 
 
 def experiment_of(

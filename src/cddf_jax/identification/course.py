@@ -289,6 +289,7 @@ def course_of(
     paths: Sequence[np.ndarray] | None = None,
     stepped: bool = False,
     timed: bool = False,
+    numbered_from: int | None = None,
 ) -> tuple[Course, dict[str, Steady]]:
     """The rows of a table as steps of paths, and by column what was set without the jitter of its readings.
 
@@ -301,6 +302,8 @@ def course_of(
         paths: the rows of each path; None: those of each trial.
         stepped: whether loads of all rows, or friction besides that on the body, rule out an exact answer.
         timed: whether the body may come after motors, so that the times of the rows count.
+        numbered_from: the number of the first trial among those of all tables; None where none is asked for, so that
+            predictions take the same program.
 
     Raises:
         InputError: for a column `direction` of a single tendon that contradicts the order of the rows, a largest
@@ -354,7 +357,8 @@ def course_of(
         most = max(_most_open(np.append(above, path)) for path in tensions)
         most *= 2 if timed else 1  # the turns of a lagging path lie elsewhere
     acting = acting if np.any(acting) else None
-    course = Course(readings, trial, step, np.array(first), most, past, acting, stays, short, by_length, time)
+    number = None if numbered_from is None else numbered_from + table.trial[first]
+    course = Course(readings, trial, step, np.array(first), most, past, acting, stays, short, by_length, time, number)
     steady = {column: _together(rows_of_paths, own) for column, *own in zip(pulled, *found, strict=True)}
     return course, steady
 

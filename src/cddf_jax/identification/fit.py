@@ -427,7 +427,7 @@ def _conclude(
     body = model.manipulator
     ends = tuple(solve_results(statistics.parameters, tables, model, statistics.input_noise))
     groups = bench.groups_of(tables, model)
-    followed = [table for table, one in zip(tables, model.experiments, strict=True) if getattr(one, "in_order", False)]
+    followed = [table for table, one in zip(tables, model.experiments, strict=True) if one.in_order]
     reasons = unexplained_pose(statistics, groups, body), doubt(ends), *map(runs_backwards, followed)
     if statistics.success and (reason := next(filter(None, reasons), "")):
         statistics = statistics.doubted(reason)

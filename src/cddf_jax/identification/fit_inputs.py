@@ -1,7 +1,6 @@
 """What `fit` takes: the course of each table, and the noise of what was set and of what was read."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 from jaxtyping import ArrayLike
@@ -47,15 +46,13 @@ def courses_of(
         if (trial := trial_of(name)) is not None and trial > ends[-1]:
             what = f"{name} belongs to trial {trial}, but the tables have {ends[-1]}"
             raise InputError(what, remedy="number the trials of all tables from 1, in their order")
+    by_trial = any(trial_of(name) is not None for name in names)
     courses = [
-        course_of(table, noise, own, short_steps, paths=rows, **how) if rows else None
-        for table, rows, own in zip(tables, paths, pasts, strict=True)
+        course_of(table, noise, own, short_steps, paths=rows, numbered_from=end + 1 if by_trial else None, **how)
+        if rows
+        else None
+        for table, rows, own, end in zip(tables, paths, pasts, ends.tolist()[:-1], strict=True)
     ]
-    if any(trial_of(name) is not None for name in names):  # else predictions take the same program without numbers
-        courses = [
-            course and (replace(course[0], number=end + 1 + table.trial[course[0].first_row]), course[1])
-            for end, table, course in zip(ends, tables, courses, strict=False)
-        ]
     known = [(own, course[0]) for own, course in zip(pasts, courses, strict=True) if course]
     first = [(own, np.asarray(course.readings)[:, 0]) for own, course in known]
     return courses, first_guesses(first)

@@ -19,7 +19,7 @@ from ..estimation.whole_search import INTERRUPTED
 from ..measurements.jitter import LARGEST_JITTER
 from ..measurements.readings import kind_of_set, set_by
 from ..measurements.table import Measurements
-from .bench import Bench, BenchModel
+from .bench import Bench, BenchModel, benches_of
 from .parameters import TRIALS, Parameters
 
 SPREAD_ROUNDS = 20
@@ -155,10 +155,7 @@ class SetLevels(NamedTuple):
 
 def levels_of(model: BenchModel, tables: Sequence[Measurements]) -> list[SetLevels]:
     """One for each table of the manipulator."""
-    named = zip(model.names, tables, model.experiments, strict=True)
-    return [
-        SetLevels(name, table, bench, _levels(table, bench)) for name, table, bench in named if isinstance(bench, Bench)
-    ]
+    return [SetLevels(*own, _levels(*own[1:])) for own in benches_of(tables, model)]
 
 
 def _levels(table: Measurements, bench: Bench) -> np.ndarray:

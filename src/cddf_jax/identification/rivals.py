@@ -19,7 +19,7 @@ from ..measurements.readings import SET, kind_of_set
 from ..measurements.table import Measurements
 from ..quantities import dimension_of
 from ..units import shown
-from .bench import Bench, BenchModel, Group, groups_of
+from .bench import BenchModel, Group, benches_of, groups_of
 from .course import course_of, paths_of
 from .parameters import TRIALS, along_a_path, parameter_named
 from .predictions import noise_of_readings
@@ -81,11 +81,7 @@ def rivals_of(fit: LeastSquaresFit, tables: Sequence[Measurements], model: Bench
         tables, model: its data and its bench.
         options: `noise`, `history` and `short_steps` as they were given to `fit`.
     """
-    driven = [
-        (name, table, one)
-        for name, table, one in zip(model.names, tables, model.experiments, strict=True)
-        if isinstance(one, Bench) and one.is_driven
-    ]
+    driven = [own for own in benches_of(tables, model) if own[2].is_driven]
     turns = any(one.course is not None and one.course.turns for _, _, one in driven)
     if not fit.success or fit.status.get(FRICTION) != IDENTIFIED or not turns:
         return []

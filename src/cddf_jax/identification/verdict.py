@@ -20,7 +20,7 @@ from ..quantities import dimension_of
 from ..robot.manipulator import Manipulator
 from ..statics.status import NOTEWORTHY, Status, words_of
 from ..units import preferred, shown
-from .bench import Bench, BenchModel, Group
+from .bench import BenchModel, Group, benches_of
 from .course import is_driven_by_length
 from .parameters import TRIALS, Parameters, parameter_named, unit_of
 from .predictions import noise_of_readings
@@ -69,16 +69,15 @@ def solve_results(
     parameters: Parameters, tables: Sequence[Measurements], model: BenchModel, inputs: Collection[str] = ()
 ) -> Iterator[SolveResults]:
     """One for each table of the manipulator; `inputs`: what was set and has errors, by table and column."""
-    for name, table, experiment in zip(model.names, tables, model.experiments, strict=True):
-        if isinstance(experiment, Bench):
-            errors = any(label.startswith(f"{name}: ") for label in inputs)  # then the search has compiled `evaluate`
-            solved = experiment.evaluate if errors or experiment.course is None else experiment.solved
-            shown = solved(model.manipulator, parameters, model.nodes)
-            found = [way is None for way in experiment.direction]  # a direction that the table states is not doubted
-            against = np.any(np.asarray(shown.direction_contradicted)[:, found], axis=1)
-            contradicted = np.asarray(shown.status) == Status.direction_contradicted
-            read = np.any([table.has(column) for column in table.columns if is_reading(column, table.columns)], axis=0)
-            yield SolveResults(name, table, shown.status, contradicted & against & read, read)
+    for name, table, experiment in benches_of(tables, model):
+        errors = any(label.startswith(f"{name}: ") for label in inputs)  # then the search has compiled `evaluate`
+        solved = experiment.evaluate if errors or experiment.course is None else experiment.solved
+        shown = solved(model.manipulator, parameters, model.nodes)
+        found = [way is None for way in experiment.direction]  # a direction that the table states is not doubted
+        against = np.any(np.asarray(shown.direction_contradicted)[:, found], axis=1)
+        contradicted = np.asarray(shown.status) == Status.direction_contradicted
+        read = np.any([table.has(column) for column in table.columns if is_reading(column, table.columns)], axis=0)
+        yield SolveResults(name, table, shown.status, contradicted & against & read, read)
 
 
 def doubt(ends: Sequence[SolveResults]) -> str:
@@ -111,14 +110,10 @@ def warnings_of_rows(
     tables: Sequence[Measurements], model: BenchModel, without_jitter: Mapping[str, Steady]
 ) -> Iterator[str]:
     """Warnings about the tables, and about what was taken for granted or ignored in them."""
-    every = list(zip(model.names, tables, model.experiments, strict=True))
-    for _, table, one in every:
-        course, in_order = (one.course, one.in_order) if isinstance(one, Bench) else (None, False)
-        from_rest = course is None or course.past is None
-        yield from (f"{table.name}: {own}" for own in warnings_of(table, in_order=in_order, from_rest=from_rest))
-    for name, table, one in every:
-        if not isinstance(one, Bench):
-            continue
+    for table, one in zip(tables, model.experiments, strict=True):
+        from_rest = one.course is None or one.course.past is None
+        yield from (f"{table.name}: {own}" for own in warnings_of(table, in_order=one.in_order, from_rest=from_rest))
+    for name, table, one in benches_of(tables, model):
         if one.in_order is None and len(table) > 1:
             yield f"{name}: each row was followed from rest, with all that was set in proportion"
         slack = {*range(1, model.manipulator.num_tendons + 1)} - {*map(tendon_number, set_by(table.columns))}
@@ -193,7 +188,7 @@ def drift_of(fit: LeastSquaresFit, group: Group) -> str:
     Two more parameters of the linearised model are tested: an error that grows with the step, and one that grows with
     step times reading.
     """
-    course = group.experiment.course if isinstance(group.experiment, Bench) else None
+    course = group.experiment.course
     if course is None or course.each_from_rest:
         return ""
     last = np.zeros(len(course.first_row))
@@ -217,7 +212,7 @@ def neighbours(residuals: Mapping[str, np.ndarray], groups: Sequence[Group]) -> 
     """
     pairs, labels = [], []
     for group in groups:
-        course = group.experiment.course if isinstance(group.experiment, Bench) else None
+        course = group.experiment.course
         if course is not None and not course.each_from_rest:
             labels.append(group.label)
             residual, trial = residuals[group.label], np.asarray(course.trial)[group.there]
@@ -316,6 +311,10 @@ def _hold_shape(tables: Sequence[Measurements]) -> bool:
 
 def advice_on(fit: LeastSquaresFit, tables: Sequence[Measurements], lost: set[str]) -> str:
     """What measurement would separate the parameters that these data do not separate."""
+    unknown, stems = f"The data do not determine {', '.join(sorted(lost))}", {parameter_named(n).name for n in lost}
+    stiffness = "stiffness_factor" if "stiffness_factor" in fit.status else "youngs_modulus"
+    driven = any(map(is_driven_by_length, tables))
+    separate = [what for what, tells in SEPARATE.items() if driven and stems & tells]
     if pasts := sorted(filter(is_past, lost)):
         return (
             f"The data do not determine {', '.join(pasts)}: a tension before the first row has an effect only if the "
@@ -323,27 +322,24 @@ def advice_on(fit: LeastSquaresFit, tables: Sequence[Measurements], lost: set[st
         )
     if fit.sums:
         return (
-            f"The data do not determine {', '.join(sorted(lost))}. Some have the same effect: only the sums and "
-            "differences above are determined. Fix one parameter of each, or give it a prior."
+            f"{unknown}. Some have the same effect: only the sums and differences above are determined. Fix one "
+            "parameter of each, or give it a prior."
         )
-    stems = {parameter_named(name).name for name in lost}
-    separate = [what for what, tells in SEPARATE.items() if stems & tells]
-    if any(map(is_driven_by_length, tables)) and separate:
+    if separate:
         return (
-            f"The data do not determine {', '.join(sorted(lost))}. What would separate them: {', '.join(separate)}; "
-            "cddf plan says by how much. Or give a value that is measured in another way, or a prior."
+            f"{unknown}. What would separate them: {', '.join(separate)}; cddf plan says by how much. Or give a value "
+            "that is measured in another way, or a prior."
         )
     if _hold_shape(tables):
         pulley = " (friction: a pulley test)" if "friction_coefficient" in lost else ""
         return (
-            f"The data do not determine {', '.join(sorted(lost))}, although they hold tip angles or positions. Each "
-            f"needs a value that is measured in another way{pulley}, or a prior."
+            f"{unknown}, although they hold tip angles or positions. Each needs a value that is measured in another "
+            f"way{pulley}, or a prior."
         )
-    stiffness = "stiffness_factor" if "stiffness_factor" in fit.status else "youngs_modulus"
     if lost == {"friction_coefficient", stiffness} and fit.combinations:
         return (
-            f"Tensions of one tendon determine only friction_coefficient / {stiffness}. To separate the two, add a "
-            "pulley test (friction alone), tip angles or tip positions measured with the tensions, or a prior on "
+            f"Tensions of one tendon determine only friction_coefficient / {stiffness}. To separate the two, "
+            "add a pulley test (friction alone), tip angles or tip positions measured with the tensions, or a prior on "
             "either."
         )
     if lost == {stiffness} and all("pulling_tension" in table for table in tables):
@@ -351,5 +347,4 @@ def advice_on(fit: LeastSquaresFit, tables: Sequence[Measurements], lost: set[st
             "A pulley test determines the friction alone. Add tip tensions, tip angles or tip positions of the "
             "manipulator."
         )
-    names = ", ".join(sorted(lost))
-    return f"The data do not determine {names}. Add tip angles or positions, a pulley test, or a prior."
+    return f"{unknown}. Add tip angles or positions, a pulley test, or a prior."

@@ -14,7 +14,6 @@ from ..estimation.determination import AT_BOUND, NOT_IDENTIFIED, Determination
 from ..estimation.profile_likelihood import Profile
 from ..files.manipulator_file import manipulator_text
 from ..files.writing import markdown_table, picked
-from ..identification.bench import Bench
 from ..identification.curves import tables_without_numbers
 from ..identification.fit import Fit
 from ..identification.parameters import TRIALS, unit_of
@@ -288,7 +287,7 @@ def _stated(fit: Fit) -> list[str]:
     lines = [f"Kinematics {fit.manipulator.kinematics}.", *fit.setting.in_words]
     lines += [f"marker {n} of {t.name}: {m}" for t in fit.tables for n, m in t.markers.items()]
     named = zip(fit.model.names, fit.model.experiments, strict=True)
-    courses = {name: one.course for name, one in named if isinstance(one, Bench) and one.course is not None}
+    courses = {name: one.course for name, one in named if one.course is not None}
     if courses:
         past = [words for course in courses.values() for words in course.past_in_words]
         past = past if len(set(past)) > 1 else past[:1]  # "rest", or where trials differ "rest, 80 N"
