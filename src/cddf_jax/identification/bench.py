@@ -34,6 +34,7 @@ from ..robot.manipulator import Manipulator, in_space
 from ..robot.validation import check_loads
 from ..statics.equilibrium import Equilibrium
 from ..statics.solve import solve
+from ..statics.status import Status
 from ..units import shown
 from .course import Course, Shown
 from .parameters import (
@@ -77,6 +78,14 @@ class Pulley(eqx.Module):
     def predict(self, manipulator: Manipulator, parameters: Parameters, nodes: int) -> dict[str, Array]:
         mu = with_parameters(manipulator, parameters).friction_coefficient
         return {"pulling_tension": pulling_tension(self.weight, mu, self.wrap_angle)}
+
+    def evaluate(self, manipulator: Manipulator, parameters: Parameters, nodes: int) -> Evaluation:
+        """As `Bench.evaluate`."""
+        flat, unravel = jax.flatten_util.ravel_pytree(jax.tree.map(jnp.asarray, dict(parameters)))
+        slopes, values = jax.jacfwd(lambda x: (self.predict(manipulator, unravel(x), nodes),) * 2, has_aux=True)(flat)
+        of_values, of_slopes = jax.tree.map(np.asarray, (values, slopes))
+        rows = len(self.wrap_angle)
+        return Evaluation(of_values, of_slopes, jnp.full(rows, Status.successful), np.zeros((rows, 0), bool), {})
 
 
 class AllRows(eqx.Module):

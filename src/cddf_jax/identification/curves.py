@@ -7,8 +7,7 @@ import numpy as np
 
 from ..measurements.readings import set_by
 from ..measurements.table import Measurements
-from ..mechanics.capstan import pulling_tension
-from .bench import Bench, Group
+from .bench import Bench, Group, Pulley
 from .course import course_of
 from .fit import Fit
 
@@ -32,11 +31,8 @@ def model_curve(fit: Fit, group: Group) -> ModelCurve | None:
         grid = np.linspace(max(rows["base_tension"].min(), 0.0), rows["base_tension"].max(), GRID)
         return ModelCurve(grid, *fit.predict(group.column, grid)[:2])
     grid = np.linspace(0.0, rows["wrap_angle"].max(), GRID)
-    ratio = np.asarray(pulling_tension(1.0, fit.value["friction_coefficient"], grid))
-    slope = np.zeros((grid.size, len(fit.names)))
-    if "friction_coefficient" in fit.names:
-        slope[:, fit.names.index("friction_coefficient")] = grid * ratio
-    return ModelCurve(grid, ratio, fit.band(slope))
+    shown = Pulley(np.ones(GRID), grid).evaluate(fit.model.manipulator, fit.parameters, fit.model.nodes)
+    return ModelCurve(grid, shown.readings["pulling_tension"], fit.band(shown.derivatives["pulling_tension"]))
 
 
 def model_loops(fit: Fit, group: Group) -> list[ModelCurve]:

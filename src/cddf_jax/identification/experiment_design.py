@@ -8,9 +8,6 @@ estimate is one of many that fit; the plan is then only as good as that guess.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-import jax
-import jax.flatten_util
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
@@ -221,21 +218,10 @@ def _rows(
     nodes: int,
 ) -> Rows:
     """The scaled Jacobian of the readings of a candidate, and warnings of rows without a solution, which count as 0."""
-    warnings: list[str] = []
-    if isinstance(experiment, Pulley):
-        flat, unravel = jax.flatten_util.ravel_pytree(jax.tree.map(jnp.asarray, parameters))
-
-        def read(x):
-            return experiment.predict(body, unravel(x), nodes)["pulling_tension"]
-
-        values = {"pulling_tension": np.asarray(read(flat))}
-        slopes = {"pulling_tension": np.asarray(jax.jacfwd(read)(flat))}
-    else:
-        shown = experiment.evaluate(body, parameters, nodes)
-        values, slopes = shown.readings, shown.derivatives
-        for status in NOTEWORTHY:
-            count = int(np.sum(np.asarray(shown.status) == status))
-            warnings += [f"{count} of {len(experiment.actuation)} rows: {words_of(status)}"] if count else []
+    shown = experiment.evaluate(body, parameters, nodes)
+    values, slopes, count = shown.readings, shown.derivatives, len(shown.status)
+    ended = [(int(np.sum(np.asarray(shown.status) == status)), status) for status in NOTEWORTHY]
+    warnings = [f"{some} of {count} rows: {words_of(status)}" for some, status in ended if some]
     deviations = [_deviation(candidate.noise[column], values[column])[:, None] for column in experiment.columns]
     with np.errstate(divide="ignore", invalid="ignore"):  # a reading of 0 whose noise has no floor counts as nothing
         scaled = [slopes[column] * size / s for column, s in zip(experiment.columns, deviations, strict=True)]

@@ -110,25 +110,32 @@ def moved_by_finer_steps(fit: LeastSquaresFit, model: BenchModel, groups: Sequen
     the difference, one that falls with the square is less. The linearised fit gives the change of the estimates. Empty
     where every answer is exact; NaN where the finer one has no solution.
     """
-    spectrum, problem = fit.evidence.spectrum, fit.minimum.problem
-    parameters, found = jax.tree.map(np.asarray, fit.parameters), False
-    apart = {label: np.zeros(len(rows)) for label, rows in fit.evidence.rows.items()}  # over the noise
+    spectrum, parameters = fit.evidence.spectrum, jax.tree.map(np.asarray, fit.parameters)
+    apart: dict[str, np.ndarray] = {}
     for name, one in zip(model.names, model.experiments, strict=True):
         if not isinstance(one, Bench) or one.course is None or one.course.short_steps is None:
             continue
-        found = True
         finer = replace(one, course=replace(one.course, short_steps=2 * one.course.short_steps), name="")
         read = evaluated(Bench.predict, finer, model.manipulator, parameters, 2 * model.nodes)
         for group in (group for group in groups if group.name == name):
-            less = read[group.column] - (group.observed - fit.residuals[group.label])
-            apart[group.label] = 2 * less / noise_of_readings(fit, group)
-    whole = np.asarray(problem.shared.whitened(np.concatenate([apart[label] for label in problem.groups])))
-    rows = np.concatenate([fit.evidence.rows[label] for label in problem.groups])
-    moved = spectrum.covariance @ (rows.T @ whole)
+            apart[group.label] = 2 * (read[group.column] - (group.observed - fit.residuals[group.label]))
+    rows = np.concatenate([*fit.evidence.rows.values()])
+    moved = spectrum.covariance @ (rows.T @ over_noise(fit, apart))
     with np.errstate(invalid="ignore"):
         over = np.abs(moved) / spectrum.relative_error
     own = zip(fit.names, over.tolist(), strict=True)
-    return {name: value for name, value in own if not name.startswith(TRIALS)} if found else {}
+    return {name: value for name, value in own if not name.startswith(TRIALS)} if apart else {}
+
+
+def over_noise(fit: LeastSquaresFit, numbers: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Numbers of readings, by group, over their noise as the rows of the fit are, which they follow; 0 for the others.
+
+    They are without what errors of inputs have in common.
+    """
+    problem = fit.minimum.problem
+    noise = zip(problem.groups, problem.data.noise, strict=True)
+    own = [np.ravel(numbers[label] / s) if label in numbers else np.zeros(np.size(s)) for label, s in noise]
+    return np.asarray(problem.shared.whitened(np.concatenate(own)))
 
 
 def noise_of_readings(fit: LeastSquaresFit, group: Group) -> np.ndarray:

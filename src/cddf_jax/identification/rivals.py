@@ -19,10 +19,10 @@ from ..measurements.readings import SET, kind_of_set
 from ..measurements.table import Measurements
 from ..quantities import dimension_of
 from ..units import shown
-from .bench import BenchModel, Group, benches_of, groups_of
+from .bench import BenchModel, benches_of, groups_of
 from .course import course_of, paths_of
 from .parameters import TRIALS, along_a_path, parameter_named
-from .predictions import noise_of_readings
+from .predictions import over_noise
 
 Options: TypeAlias = Mapping[str, Any]
 
@@ -102,29 +102,21 @@ def rivals_of(fit: LeastSquaresFit, tables: Sequence[Measurements], model: Bench
         slopes[name] = shown.derivatives
     ends = np.cumsum([np.size(parameters[name]) for name in sorted(parameters)])  # in the flat order
     places = dict(zip(sorted(parameters), (ends - 1).tolist(), strict=True))
-    groups = groups_of(tables, model)
-    columns = {name: _column(fit, groups, slopes, places[name]) for name in names}
-    return [rival for name in names if (rival := _rival(fit, name, columns[name])) is not None]
+    found = []
+    for name in names:
+        of_groups = {
+            group.label: slopes[group.name][group.column][group.there, places[name]]
+            for group in groups_of(tables, model)
+            if group.name in slopes
+        }
+        found.append(_rival(fit, name, over_noise(fit, of_groups)))
+    return [rival for rival in found if rival is not None]
 
 
 def _has_times(table: Measurements, options: Options) -> bool:
     """Whether the times of each path rise, so that a lag has an effect."""
     paths = paths_of(table, options["history"]) or []
     return "time" in table and all(np.all(np.diff(table["time"][rows]) > 0) for rows in paths)
-
-
-def _column(
-    fit: LeastSquaresFit, groups: Sequence[Group], slopes: Mapping[str, Mapping[str, np.ndarray]], place: int
-) -> np.ndarray:
-    """The derivatives of all readings by one parameter over their noise, whitened, in the order of the fit's rows."""
-    own = {
-        group.label: slopes[group.name][group.column][group.there, place] / noise_of_readings(fit, group)
-        if group.name in slopes
-        else np.zeros(np.count_nonzero(group.there))
-        for group in groups
-    }
-    problem = fit.minimum.problem
-    return np.asarray(problem.shared.whitened(np.concatenate([own[label] for label in problem.groups])))
 
 
 def _rival(fit: LeastSquaresFit, name: str, column: np.ndarray) -> Rival | None:
