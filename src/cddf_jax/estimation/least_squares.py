@@ -20,8 +20,8 @@ from .parameter_space import Bounds, Prior, Priors, Structure, bounds_of, names_
 from .profile_likelihood import Profile, profile_likelihood
 from .remarks import remarks_on_parameters, remarks_on_residuals
 from .residuals import Data, InputErrors, LeastSquaresProblem, Shared, no_inputs
-from .restarts import Searched, search
-from .whole_search import INTERRUPTED, FitTask
+from .restarts import search
+from .whole_search import INTERRUPTED, Ending, FitTask
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +39,6 @@ class LeastSquaresFit(Determination):
     num_steps: int  # of the optimiser
     starts: np.ndarray  # the lowest cost of the search from each start, the best first
     restarted: str  # why there were several starts although none were asked for, in words; else ""
-    seed: int  # of the further starts
     success: bool
     result: str  # "successful", or what went wrong
     parameters: PyTree  # the estimate in the structure of `start`
@@ -199,7 +198,7 @@ def least_squares_fit(
         )
     problem = LeastSquaresProblem(predict, unravel, labels, data, shared, space, max_steps, accuracy)
     task = FitTask(problem, groups, inputs)
-    return _conclude(task.groups, jax.tree.structure(observed), search(task, starts, seed), seed)
+    return _conclude(task.groups, jax.tree.structure(observed), search(task, starts, seed))
 
 
 def _scales(
@@ -215,8 +214,7 @@ def _scales(
     return np.array([known.get(name, np.nan) for name in names])
 
 
-def _conclude(groups: Sequence[Observed], structure: PyTree, searched: Searched, seed: int) -> LeastSquaresFit:
-    ending = searched.ending
+def _conclude(groups: Sequence[Observed], structure: PyTree, ending: Ending) -> LeastSquaresFit:
     problem, outcome = ending.minimum
     freedom = outcome.residual.size - ending.determination.rank
     noise = [np.asarray(s) for s in problem.data.noise]
@@ -240,9 +238,8 @@ def _conclude(groups: Sequence[Observed], structure: PyTree, searched: Searched,
         degrees_of_freedom=freedom,
         log_likelihood=float(log_likelihood),
         num_steps=int(outcome.num_steps),
-        starts=searched.cost,
-        restarted=searched.remark,
-        seed=seed,
+        starts=ending.starts,
+        restarted=ending.restarted,
         success=ending.success,
         result=ending.result,
         parameters=problem.unravel(outcome.parameters),

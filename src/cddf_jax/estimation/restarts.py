@@ -2,7 +2,6 @@
 
 import time
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -22,16 +21,8 @@ EXACT = 1e-9  # a cost that is as good as 0: a residual of nothing but rounding
 LONGEST = 30.0  # s: searches from other starts that nobody asked for end then
 
 
-class Searched(NamedTuple):
-    """The search that is taken, and the costs of the others."""
-
-    ending: Ending
-    cost: np.ndarray  # the lowest cost from each start, the best first; empty if one search was enough
-    remark: str = ""  # why there were several starts although none were asked for, and their result
-
-
 @stage("searching")
-def search(task: FitTask, starts: int | None, seed: int) -> Searched:
+def search(task: FitTask, starts: int | None, seed: int) -> Ending:
     """The best of some searches, the first from the given start; after Ctrl-C the best place so far.
 
     With `starts` None there is one search; if it is in trouble, rounds of others follow until the best is in none, or
@@ -45,29 +36,29 @@ def search(task: FitTask, starts: int | None, seed: int) -> Searched:
         best = watch.best(task.problem.data.noise)
         if best is None:
             raise
-        return Searched(interrupted_at(task, best), np.empty(0))
+        return interrupted_at(task, best)
     finally:
         WATCHED.reset(before)
 
 
-def _from_starts(task: FitTask, starts: int, seed: int) -> Searched:
+def _from_starts(task: FitTask, starts: int, seed: int) -> Ending:
     """As many searches as were asked for."""
     problem = task.problem
     if starts > 1:
         found = [minimise(problem, problem.space.first()), *_elsewhere(problem, slice(0, starts - 1), seed)]
-        return Searched(search_from(task, min(found, key=_height).z), np.sort([*map(_height, found)]))
+        return search_from(task, min(found, key=_height).z)._replace(starts=np.sort([*map(_height, found)]))
     only = search_from(task, problem.space.first())
-    cost = np.array([_cost(task, only)])
-    return Searched(only._replace(result=STOPPED_SHORT) if _ran_away(task, only) else only, cost)
+    result = STOPPED_SHORT if _ran_away(task, only) else only.result
+    return only._replace(result=result, starts=np.array([_cost(task, only)]))
 
 
-def _search(task: FitTask, seed: int, watch: Watch) -> Searched:
+def _search(task: FitTask, seed: int, watch: Watch) -> Ending:
     """One search, and others while the best one is in trouble."""
     problem = task.problem
     ending = first = search_from(task, problem.space.first())
     reason = trouble(task, first)
     if not reason:
-        return Searched(first, np.empty(0))
+        return first
     costs, late = [_cost(task, first)], time.monotonic() + LONGEST
     for last, count in zip(np.cumsum(ROUNDS), ROUNDS, strict=True):
         watch.deadline = late
@@ -77,7 +68,7 @@ def _search(task: FitTask, seed: int, watch: Watch) -> Searched:
         ending = _better(task, ending, found)
         alike = np.allclose([*map(_height, found)], _cost(task, ending), rtol=SAME, atol=EXACT)
         if alike and ending is first and first.success:  # the data determine no more anywhere
-            return Searched(first, np.empty(0))
+            return first
         if time.monotonic() > late:
             reason += f" (other searches ended after {LONGEST:.0f} s; give starts to allow more)"
             break
@@ -86,11 +77,10 @@ def _search(task: FitTask, seed: int, watch: Watch) -> Searched:
     costs = np.sort(costs)
     if ending is first:
         others = f"{len(costs) - 1} search{'es' * (len(costs) > 2)} from other starts"
-        return Searched(first, costs, f"the search {reason}; {others} found nothing better")
+        return first._replace(starts=costs, restarted=f"the search {reason}; {others} found nothing better")
     same = f"{np.sum(costs <= (1 + LOWER) * costs[0] + EXACT)} of {len(costs)} starts"
-    return Searched(
-        ending, costs, f"the search from the given start {reason}; {same} led to the result, the best found"
-    )
+    found_by = f"the search from the given start {reason}; {same} led to the result, the best found"
+    return ending._replace(starts=costs, restarted=found_by)
 
 
 def _better(task: FitTask, ending: Ending, found: list[Outcome]) -> Ending:

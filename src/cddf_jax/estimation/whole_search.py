@@ -58,6 +58,8 @@ class Ending(NamedTuple):
     evidence: Evidence
     determination: Determination
     result: str
+    starts: np.ndarray = np.empty(0)  # the lowest cost from each start, the best first; empty if one search was enough
+    restarted: str = ""  # why there were several starts although none were asked for, and their result
 
     @property
     def success(self) -> bool:
