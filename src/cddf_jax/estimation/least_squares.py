@@ -19,7 +19,7 @@ from .observations import Noise, Observed, effects_of, group_observations
 from .parameter_space import Bounds, Prior, Priors, Structure, bounds_of, names_of, parameter_space, priors_of
 from .profile_likelihood import Profile, profile_likelihood
 from .remarks import remarks_on_parameters, remarks_on_residuals
-from .residuals import Data, InputErrors, LeastSquaresProblem, Shared, no_inputs
+from .residuals import Data, InputErrors, LeastSquaresProblem, Shared
 from .restarts import search
 from .whole_search import INTERRUPTED, Ending, FitTask
 
@@ -189,13 +189,9 @@ def least_squares_fit(
         prior=prior,
     )
     labels = tuple(group.name for group in groups)
-    shared = no_inputs(sum(group.values.size for group in groups))
-    if inputs is not None:  # without an effect yet, in the shapes of later, so that programs are shared
-        shared = Shared.of(
-            {k: 0 * own for k, own in effects_of(inputs, groups, start).items()},
-            dict.fromkeys(inputs.sigma, 0.0),
-            len(shared.basis),
-        )
+    effects = effects_of(inputs, groups, start) if inputs else {}
+    without = {name: 0 * own for name, own in effects.items()}  # in the shapes of later, so that programs are shared
+    shared = Shared.of(without, dict.fromkeys(effects, 0.0), sum(group.values.size for group in groups))
     problem = LeastSquaresProblem(predict, unravel, labels, data, shared, space, max_steps, accuracy)
     task = FitTask(problem, groups, prefer_start, inputs)
     return _conclude(task.groups, jax.tree.structure(observed), search(task, starts, seed))

@@ -78,11 +78,6 @@ class Shared(NamedTuple):
         return -2 * float(np.sum(np.log1p(-np.sum(np.asarray(self.basis) ** 2, axis=0))))
 
 
-def no_inputs(data: int) -> Shared:
-    """Without errors of inputs."""
-    return Shared(np.zeros((data, 0)), {}, {})
-
-
 class Data(NamedTuple):
     """The data of a fit."""
 

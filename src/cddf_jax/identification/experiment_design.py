@@ -16,7 +16,7 @@ from ..estimation.determination import Determination, determine
 from ..estimation.evidence import Evidence
 from ..estimation.observations import Noise
 from ..estimation.parameter_space import Priors, parameter_space, priors_of
-from ..estimation.residuals import no_inputs
+from ..estimation.residuals import Shared
 from ..measurements.readings import SET, of_tendons
 from ..measurements.table import Measurements
 from ..numerics.given_numbers import check_numbers
@@ -171,7 +171,7 @@ def _nothing_measured(parameters: Mapping[str, float], priors: Priors) -> Eviden
         rows={"before": np.zeros((len(names), len(names)))},  # nothing
         prior_rows=prior_rows,
         noise_slopes={"before": np.zeros((len(names), 0))},
-        shared=no_inputs(len(names)),
+        shared=Shared.of({}, {}, len(names)),
     )
 
 

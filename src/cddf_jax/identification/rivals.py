@@ -7,7 +7,7 @@ beside it. It takes no other fit, and is as good as the linearisation.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -23,8 +23,6 @@ from .bench import BenchModel, benches_of, groups_of
 from .course import course_of, paths_of
 from .parameters import TRIALS, along_a_path, parameter_named
 from .predictions import over_noise
-
-Options: TypeAlias = Mapping[str, Any]
 
 RIVALS = ("slack_offset", "lag", "backlash", "friction_moment", "outside_drag", "outside_friction")
 ONE_SIDED = RIVALS[1:]  # the body comes after its motors, and friction takes
@@ -73,7 +71,9 @@ def alike_in_words(rivals: Sequence[Rival]) -> list[str]:
     ]
 
 
-def rivals_of(fit: LeastSquaresFit, tables: Sequence[Measurements], model: BenchModel, options: Options) -> list[Rival]:
+def rivals_of(
+    fit: LeastSquaresFit, tables: Sequence[Measurements], model: BenchModel, options: Mapping[str, Any]
+) -> list[Rival]:
     """What else may have made the loops of a fit; [] where friction is not identified or no displacement turns.
 
     Args:
@@ -113,7 +113,7 @@ def rivals_of(fit: LeastSquaresFit, tables: Sequence[Measurements], model: Bench
     return [rival for rival in found if rival is not None]
 
 
-def _has_times(table: Measurements, options: Options) -> bool:
+def _has_times(table: Measurements, options: Mapping[str, Any]) -> bool:
     """Whether the times of each path rise, so that a lag has an effect."""
     paths = paths_of(table, options["history"]) or []
     return "time" in table and all(np.all(np.diff(table["time"][rows]) > 0) for rows in paths)

@@ -157,17 +157,14 @@ def first_guesses(
     Args:
         tables: the trials of each table, and the readings of their first rows, N.
     """
-    stated: dict[str, float] = {}
-    firsts: dict[str, tuple[int, np.ndarray]] = {}  # the tendon, and the first row of the trial where it has most
+    most: dict[str, tuple[float, float]] = {}  # stated tension, and reading of the first row: the largest of all trials
+    alone = all(rows.shape[1] == 1 for _, rows in tables)
     for past, rows in tables:
-        for own, names, row in zip(np.nan_to_num(past.stated), past.parameters, rows, strict=True):
-            for i, name in enumerate(names):
+        for names, own, row in zip(past.parameters, np.nan_to_num(past.stated), rows, strict=True):
+            for name, stated, reading in zip(names, own.tolist(), row.tolist(), strict=True):
                 if name:
-                    stated[name] = max(stated.get(name, 0.0), float(own[i]))
-                    if name not in firsts or row[i] > firsts[name][1][i]:
-                        firsts[name] = i, row
-    found = {}
-    for name, (tendon, row) in firsts.items():
-        reading = max(float(row[tendon]), 0.0)
-        found[name] = stated[name] or ABOVE * reading or 1.0, reading if row.size == 1 else 0.0
-    return found
+                    before = most.get(name, (0.0, 0.0))
+                    most[name] = max(before[0], stated), max(before[1], reading)
+    return {
+        name: (stated or ABOVE * reading or 1.0, reading if alone else 0.0) for name, (stated, reading) in most.items()
+    }
