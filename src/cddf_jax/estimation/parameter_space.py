@@ -143,13 +143,8 @@ class ParameterSpace:
 
         return jnp.stack([one(i, bounded) for i, bounded in enumerate(self.bounded)])
 
-    @property
-    def free(self) -> np.ndarray:
-        """Which parameters have no bounds."""
-        return np.array([bounded == FREE for bounded in self.bounded])
-
-    def elsewhere(self, draw: np.ndarray, decades: float) -> "tuple[ParameterSpace, np.ndarray]":
-        """Another start: a space around it, in which a search runs as from the given start, and its z.
+    def elsewhere(self, draw: np.ndarray, decades: float) -> np.ndarray:
+        """The z of another start.
 
         A parameter with a bound changes its distance from the bound by up to `decades` powers of ten. A parameter
         without bounds changes its size by as much, and in one draw of four its sign. `draw`, (n,), is uniform on (0,
@@ -159,14 +154,8 @@ class ParameterSpace:
         size = np.where(same, (draw - FLIPPED) / (1 - FLIPPED), draw / FLIPPED)
         sign = np.where(same, 1.0, -1.0) * np.where(self.start < 0, -1.0, 1.0)
         moved = sign * self.size(self.start) * 10 ** (decades * (2 * size - 1))
-        given = np.where(self.least_size > 0, self.least_size, np.nan)
-        z = self.first() + np.where(self.free, 0.0, np.log(10) * decades * (2 * draw - 1))
-        start = np.where(self.free, moved, self.start)
-        return parameter_space(self.names, start, np.asarray(self.lower), np.asarray(self.upper), given), z
-
-    def seen_from(self, other: "ParameterSpace", z: np.ndarray) -> np.ndarray:
-        """The z in this space of a point z of another one, which differs by the start of parameters without bounds."""
-        return np.where(self.free, (other.start + other.scale * z - self.start) / self.scale, z)
+        bounded = self.first() + np.log(10) * decades * (2 * draw - 1)
+        return np.where([one == FREE for one in self.bounded], (moved - self.start) / self.scale, bounded)
 
     def times_the_start(self, value: np.ndarray) -> np.ndarray:
         """A parameter over its start, both counted from a bound; without bounds the larger of ratio and inverse."""

@@ -1,7 +1,6 @@
 """Fits from several starts: where further ones lie, when one is not enough, and which search is taken."""
 
 import time
-from dataclasses import replace
 
 import numpy as np
 
@@ -137,9 +136,7 @@ def _elsewhere(problem: LeastSquaresProblem, which: slice, seed: int, late: floa
     decades = np.repeat(DECADES, [*ROUNDS[:-1], count])
     found = []
     for draw, reach in each("start", list(zip(draws[which], decades[which], strict=True))):
-        moved, z = space.elsewhere(np.clip(draw, 1e-6, 1 - 1e-6), reach)
-        end = minimise(replace(problem, space=moved), z)
-        found.append(end._replace(z=space.seen_from(moved, end.z)))
+        found.append(minimise(problem, space.elsewhere(np.clip(draw, 1e-6, 1 - 1e-6), reach)))
         if time.monotonic() > late:
             break
     return found
