@@ -58,17 +58,25 @@ class LeastSquaresFit(Determination):
 
     @property
     def num_estimated(self) -> int:
-        """Parameters, and the numbers of the noise that were estimated."""
+        """Parameters, and the numbers of the noise that were estimated; random effects count as one, their spread."""
         of_noise = sum(slopes.shape[1] for slopes in self.evidence.noise_slopes.values())
-        return len(self.names) + of_noise + len(self.evidence.estimated_inputs)
+        random = self.evidence.random
+        return len(self.names) - len(random) + bool(random) + of_noise + len(self.evidence.estimated_inputs)
 
     @property
     def information_criteria(self) -> dict[str, float]:
-        """AIC and BIC of the Gaussian likelihood."""
+        """AIC and BIC of the Gaussian likelihood, integrated over random effects by Laplace's method."""
+        random, height = list(self.evidence.random), -2 * self.log_likelihood
+        if random:
+            size, effects = self.evidence.size[random], self.minimum.outcome.parameters[random]
+            spread = size / np.array([self.evidence.prior_rows[i][0, i] for i in random])
+            columns = np.concatenate([*self.evidence.rows.values()])[:, random] / size * spread
+            height += float(np.linalg.slogdet(np.eye(len(random)) + columns.T @ columns)[1])
+            height += float(np.sum((effects / spread) ** 2))
         count = self.minimum.problem.num_data
         return {
-            "AIC": 2 * self.num_estimated - 2 * self.log_likelihood,
-            "BIC": float(np.log(count)) * self.num_estimated - 2 * self.log_likelihood,
+            "AIC": 2 * self.num_estimated + height,
+            "BIC": float(np.log(count)) * self.num_estimated + height,
         }
 
     @property

@@ -141,23 +141,6 @@ class Fit(LeastSquaresFit):
         """The groups of data, in the order of the tables and their columns."""
         return bench.groups_of(self.tables, self.model)
 
-    @property
-    def num_estimated(self) -> int:
-        """The number of estimated parameters and noise levels; friction by trial counts as one, its spread."""
-        return super().num_estimated - len(self.evidence.random) + bool(self.evidence.random)
-
-    @property
-    def information_criteria(self) -> dict[str, float]:
-        """AIC and BIC of the Gaussian likelihood, integrated over the deviations of the trials by Laplace's method."""
-        random = list(self.evidence.random)
-        if not random:
-            return super().information_criteria
-        size, effects = self.evidence.size[random], self.minimum.outcome.parameters[random]
-        spread = size / np.array([self.evidence.prior_rows[i][0, i] for i in random])
-        columns = np.concatenate([*self.evidence.rows.values()])[:, random] / size * spread
-        more = np.linalg.slogdet(np.eye(len(random)) + columns.T @ columns)[1] + np.sum((effects / spread) ** 2)
-        return {name: value + float(more) for name, value in super().information_criteria.items()}
-
     def __str__(self) -> str:
         return "\n".join(self.verdict)
 
