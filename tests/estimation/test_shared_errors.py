@@ -6,7 +6,7 @@ import pytest
 from scipy.optimize import minimize
 
 from cddf_jax.estimation.least_squares import least_squares_fit
-from cddf_jax.estimation.residuals import InputErrors
+from cddf_jax.estimation.residuals import NO_ERRORS, InputErrors
 
 ROWS = 12
 X = np.linspace(1.0, 3.0, ROWS)
@@ -92,7 +92,7 @@ def test_inputs_without_errors_change_nothing():
     """With 1e-9 of noise, and where none is seen in data that have none."""
     data = draw(seed=2, size=0.0)
     plain, tiny, unseen = (
-        least_squares_fit(model, TRUTH, data, inputs=given) for given in (None, inputs(1e-9), inputs(None))
+        least_squares_fit(model, TRUTH, data, inputs=given) for given in (NO_ERRORS, inputs(1e-9), inputs(None))
     )
     assert unseen.input_noise == {"x": 0.0}
     for found in (tiny, unseen):

@@ -21,7 +21,6 @@ from test_fit import COMPLIANCE, MU, E
 import cddf_jax as cddf
 from cddf_jax import figures
 from cddf_jax.errors import InputError
-from cddf_jax.estimation.residuals import InputErrors
 from cddf_jax.identification.course import course_of
 from cddf_jax.identification.experiment_design import Candidate
 from cddf_jax.identification.random_effects import errors_of_base
@@ -587,7 +586,7 @@ def test_the_peak_of_held_samples_stays(noise):
 
 def test_derivatives_by_base_tensions_follow_the_memory(fitted):
     """Every reading by every base tension, against differences of the closed form; the tip remembers the peak."""
-    errors = of_kind(InputErrors, errors_of_base(fitted.model, fitted.tables, {}))
+    errors = errors_of_base(fitted.model, fitted.tables, {})
     slopes = errors.slopes(fitted.parameters)["bench: base_tension"]
     step, away = fitted.tables[0]["step"].astype(int), 1e-3
     moved = [np.stack([loop(LOOP + sign * away * unit) for sign in (-1, 1)]) for unit in np.eye(LOOP.size)]

@@ -19,7 +19,7 @@ from .observations import Noise, Observed, effects_of, group_observations
 from .parameter_space import Bounds, Prior, Priors, Structure, bounds_of, names_of, parameter_space, priors_of
 from .profile_likelihood import Profile, profile_likelihood
 from .remarks import remarks_on_parameters, remarks_on_residuals
-from .residuals import Data, InputErrors, LeastSquaresProblem, Shared
+from .residuals import NO_ERRORS, Data, InputErrors, LeastSquaresProblem, Shared
 from .restarts import search
 from .whole_search import INTERRUPTED, Ending, FitTask
 
@@ -143,7 +143,7 @@ def least_squares_fit(
     prefer_start: bool = False,
     max_steps: int = MAX_STEPS,
     accuracy: float = 0.0,
-    inputs: InputErrors | None = None,
+    inputs: InputErrors = NO_ERRORS,
 ) -> LeastSquaresFit:
     """Fit parameters by Levenberg-Marquardt and say what the data determine.
 
@@ -197,7 +197,7 @@ def least_squares_fit(
         prior=prior,
     )
     labels = tuple(group.name for group in groups)
-    effects = effects_of(inputs, groups, start) if inputs else {}
+    effects = effects_of(inputs, groups, start)
     without = {name: 0 * own for name, own in effects.items()}  # in the shapes of later, so that programs are shared
     shared = Shared.of(without, dict.fromkeys(effects, 0.0), sum(group.values.size for group in groups))
     problem = LeastSquaresProblem(predict, unravel, labels, data, shared, space, max_steps, accuracy)

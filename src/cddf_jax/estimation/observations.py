@@ -95,7 +95,7 @@ class Observed:
 
 
 def estimate_noise(
-    groups: Sequence[Observed], minimum: Minimum, inputs: InputErrors | None = None
+    groups: Sequence[Observed], minimum: Minimum, inputs: InputErrors
 ) -> tuple[tuple[np.ndarray, ...], Shared]:
     """Standard deviations of each group, and errors of inputs, from the residuals at a minimum.
 
@@ -104,13 +104,6 @@ def estimate_noise(
     """
     problem, outcome = minimum
     given = tuple(map(np.asarray, problem.data.noise))
-    if inputs is None:
-        if all(isinstance(group.sigma, np.ndarray) for group in groups):
-            return given, problem.shared
-        jacobian = without_nan(outcome.jacobian)
-        leverage = problem.by_group(spectrum_of(jacobian).leverage(jacobian))
-        found = zip(groups, given, problem.by_group(outcome.residual), leverage, strict=True)
-        return tuple(group.estimate(noise, r, h) for group, noise, r, h in found), problem.shared
     if not np.all(np.isfinite(outcome.residual)):
         return given, problem.shared
     effects = effects_of(inputs, groups, problem.unravel(outcome.parameters))

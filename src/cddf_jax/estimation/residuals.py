@@ -29,6 +29,9 @@ class InputErrors(NamedTuple):
     largest: Mapping[str, float]  # by input group, of an estimate
 
 
+NO_ERRORS = InputErrors(lambda _: {}, {}, {})
+
+
 class Shared(NamedTuple):
     """The errors of inputs in the data, of all groups one after the other."""
 

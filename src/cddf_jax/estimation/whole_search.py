@@ -49,7 +49,7 @@ class FitTask(NamedTuple):
     problem: LeastSquaresProblem  # with the first guess of the noise
     groups: tuple[Observed, ...]  # of the data
     prefer_start: bool  # to end near the start in a valley that the data leave open
-    inputs: InputErrors | None = None  # of the model, that were read with errors
+    inputs: InputErrors  # of the model, that were read with errors
 
 
 class Ending(NamedTuple):
@@ -156,7 +156,7 @@ def _evidence(task: FitTask, minimum: Minimum) -> Evidence:
         shared=problem.shared,
         estimated_inputs=tuple(
             name
-            for name, sigma in (task.inputs.sigma.items() if task.inputs else ())
+            for name, sigma in task.inputs.sigma.items()
             if sigma is None and problem.shared.deviation.get(name, 0.0) > 0
         ),
         prior_rows={i: row[None] for i, row in zip(problem.data.prior, prior_rows, strict=True)},

@@ -171,8 +171,8 @@ def _levels(table: Measurements, bench: Bench) -> np.ndarray:
     return level
 
 
-def errors_of_base(model: BenchModel, tables: Sequence[Measurements], noise: Mapping[str, float]) -> InputErrors | None:
-    """The base tensions as inputs with errors; None where none has any.
+def errors_of_base(model: BenchModel, tables: Sequence[Measurements], noise: Mapping[str, float]) -> InputErrors:
+    """The base tensions as inputs with errors; none where they have none.
 
     A noise that is not stated is estimated where one base tension moves several readings: those of its row, or later
     ones after a turn. Elsewhere it cannot be told from the noise of the readings, which then includes it. With
@@ -193,7 +193,7 @@ def errors_of_base(model: BenchModel, tables: Sequence[Measurements], noise: Map
                 label = f"{levels.name}: {column}"
                 sigma[label], largest[label], uncertain[label] = stated, most, tendon
         found += [partial(levels.slopes, uncertain, model)] * bool(uncertain)
-    return InputErrors(partial(_all_slopes, found), sigma, largest) if sigma else None
+    return InputErrors(partial(_all_slopes, found), sigma, largest)
 
 
 def _all_slopes(found: Sequence[Callable[[Parameters], Slopes]], at: Parameters) -> Slopes:
