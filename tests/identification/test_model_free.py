@@ -163,7 +163,6 @@ def test_one_row_determines_the_value_but_not_its_noise():
     found = model_free_friction(table)
     assert found.value == pytest.approx(MU)
     assert (found.standard_error, found.confidence_interval) == (np.inf, (-np.inf, np.inf))
-    assert found.verdict[-1].startswith("A single row determines it")
     assert np.isnan(found.constancy.p_value)
     assert any("do not show whether it depends on base tension: measure more rows" in line for line in found.verdict)
 
@@ -173,7 +172,6 @@ def test_one_row_that_outweighs_all_others_is_alone():
     found = model_free_friction(table)
     assert found.standard_error == np.inf
     assert np.isnan(found.constancy.p_value)
-    assert found.verdict[-1].startswith("A single row determines it")
 
 
 def test_one_level_cannot_show_a_drift():
@@ -188,9 +186,6 @@ def test_one_level_cannot_show_a_drift():
 def test_what_the_verdict_cannot_check_it_mentions():
     both = model_free_friction(table_of(BASE, ANGLE, tip_force_y=np.ones(24)))
     assert any("A force acts on the body" in line for line in both.verdict)
-    angle = np.where(BASE > 40, -ANGLE, ANGLE)
-    signs = Measurements.from_columns(base_tension=BASE, tip_tension=BASE * np.exp(-MU * ANGLE), tip_angle=angle)
-    assert any("both signs" in line for line in model_free_friction(signs).verdict)
 
 
 def test_the_shipped_table():

@@ -194,7 +194,7 @@ def _result(minimum: Minimum, evidence: Evidence, least_rise: float, *, settled:
 # jumps has them. Searches end beside such a place and look as if they had stopped short.
 
 
-def slopes(minimum: Minimum, outcome: Outcome) -> np.ndarray:
+def slopes(outcome: Outcome) -> np.ndarray:
     """(parameters,), of the cost, over what residuals and derivatives could make them."""
     column, total = np.linalg.norm(outcome.jacobian, axis=0), np.linalg.norm(outcome.residual)
     slope = np.abs(outcome.jacobian.T @ outcome.residual)
@@ -206,7 +206,7 @@ def is_steep(minimum: Minimum, evidence: Evidence) -> bool:
     outcome = minimum.outcome
     exact = np.linalg.norm(outcome.residual) <= EXACT * np.sqrt(outcome.residual.size)
     steepest = max(STEEPEST, FAR * np.sqrt(minimum.problem.noteworthy)) if outcome.solved else STEEPEST_UNSOLVED
-    return not exact and bool(np.any(slopes(minimum, outcome)[~evidence.at_bound] > steepest))
+    return not exact and bool(np.any(slopes(outcome)[~evidence.at_bound] > steepest))
 
 
 def kink_of(minimum: Minimum, evidence: Evidence) -> tuple[int, Minimum] | None:
@@ -216,12 +216,12 @@ def kink_of(minimum: Minimum, evidence: Evidence) -> tuple[int, Minimum] | None:
     value, the sum of squares must be larger, also after the others are fitted again.
     """
     value, free = minimum.outcome.parameters, ~evidence.at_bound
-    i = int(np.argmax(np.where(free, slopes(minimum, minimum.outcome), -1.0)))
+    i = int(np.argmax(np.where(free, slopes(minimum.outcome), -1.0)))
     held = hold_one(len(value), i, value[i])
     z = np.where(np.isnan(held), minimum.refit(held)[0].z, minimum.outcome.z)
     there = minimum._replace(outcome=evaluate(minimum.problem, z))
     others = free & np.isnan(held)
-    if not np.all(slopes(there, there.outcome)[others] <= STEEPEST):
+    if not np.all(slopes(there.outcome)[others] <= STEEPEST):
         return None
     away = BESIDE * evidence.spectrum.relative_error[i] * evidence.size[i]
     space = minimum.problem.space

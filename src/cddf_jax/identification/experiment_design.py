@@ -23,7 +23,6 @@ from ..numerics.given_numbers import check_numbers
 from ..progress import each
 from ..robot.manipulator import Manipulator
 from ..statics.status import NOTEWORTHY, words_of
-from .bench import Bench, Pulley
 from .fit import Fit
 from .fit_inputs import unread_rows
 from .parameters import (
@@ -140,10 +139,7 @@ def plan(
         evidence = _nothing_measured(parameters, priors or {})
     if criterion != "D" and criterion not in evidence.space.names:
         raise InputError(f"plan: criterion {criterion!r} is neither D nor one of {', '.join(evidence.space.names)}")
-    rows = [
-        _rows(_experiment(body, one, setting, parameters), body, parameters, one, evidence.size, nodes)
-        for one in each("candidate", candidates)
-    ]
+    rows = [_rows(one, body, setting, parameters, evidence.size, nodes) for one in each("candidate", candidates)]
     ranking = tuple(ranked for ranked, _ in _rank(evidence, candidates, rows, criterion))
     chosen, so_far = [], evidence
     for _ in range(num):
@@ -210,14 +206,15 @@ def _merit(evidence: Evidence, criterion: str) -> float:
 
 
 def _rows(
-    experiment: Pulley | Bench,
-    body: Manipulator,
-    parameters: Parameters,
     candidate: Candidate,
+    body: Manipulator,
+    setting: BenchSetting,
+    parameters: Parameters,
     size: np.ndarray,
     nodes: int,
 ) -> Rows:
     """The scaled Jacobian of the readings of a candidate, and warnings of rows without a solution, which count as 0."""
+    experiment = unread_rows(_table(candidate, body.num_tendons), body, setting, [*parameters])
     shown = experiment.evaluate(body, parameters, nodes)
     values, slopes, count = shown.readings, shown.derivatives, len(shown.status)
     ended = [(int(np.sum(np.asarray(shown.status) == status)), status) for status in NOTEWORTHY]
@@ -229,13 +226,11 @@ def _rows(
     return np.where(np.isfinite(rows), rows, 0.0), tuple(warnings)
 
 
-def _experiment(
-    body: Manipulator, candidate: Candidate, setting: BenchSetting, parameters: Parameters
-) -> Pulley | Bench:
+def _table(candidate: Candidate, num_tendons: int) -> Measurements:
     """The candidate as a table whose readings are not known yet."""
     conditions = {name: np.atleast_1d(np.asarray(value, float)) for name, value in candidate.conditions.items()}
     count = max(values.size for values in conditions.values()) if conditions else 0
-    for column, length in zip(*(of_tendons(name, body.num_tendons) for name in SET), strict=True):
+    for column, length in zip(*(of_tendons(name, num_tendons) for name in SET), strict=True):
         if column != "base_tension" and length not in conditions:
             conditions.setdefault(column, np.zeros(1))
     if "weight" in conditions:
@@ -246,8 +241,7 @@ def _experiment(
         raise InputError(f"{name}: {', '.join(lengths)} must hold 1 or {count} numbers; give lists of one length")
     columns = {column: np.broadcast_to(values, (count,)) for column, values in conditions.items()}
     columns |= {column: np.zeros(count) for column in candidate.noise}
-    table = Measurements.from_columns(name, **columns)
-    return unread_rows(table, body, setting, [*parameters])
+    return Measurements.from_columns(name, **columns)
 
 
 def standard_candidates(

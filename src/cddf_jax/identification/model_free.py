@@ -63,20 +63,13 @@ class ModelFreeFriction:
         """In words: the value, and whether one mu describes all rows."""
         rows, used = len(self.estimate), np.count_nonzero(np.isfinite(self.estimate))
         low, high = self.confidence_interval
-        angle, columns = self.table["tip_angle"], self.table.columns.items()
         lines = [
             f"friction_coefficient = {self.value:.4g} +- {self.standard_error:.2g} (95 %: {low:.4g} to {high:.4g}) "
             f"from tensions and tip angles of {used} of {rows} rows, for any body",
             str(self.constancy),
         ]
-        if np.any(angle > 0) and np.any(angle < 0):
-            lines.append(
-                "Tip angles have both signs: check the zero of the angle; within a row the curvature must keep one."
-            )
-        if any(force_column(column) and np.any(values) for column, values in columns):
+        if any(force_column(column) and np.any(values) for column, values in self.table.columns.items()):
             lines.append("A force acts on the body: the value holds only where the curvature keeps one sign.")
-        if not np.isfinite(self.standard_error):
-            lines.append("A single row determines it, without its noise: measure more.")
         return tuple(lines)
 
     def __str__(self) -> str:
