@@ -284,9 +284,10 @@ def fit(
             that of tendon 1 before it, and `before_tendon_2` (`before_tendon_2_3` for trial 3).
         priors: by parameter, mean and standard deviation of a Gaussian, SI units.
         bounds: by parameter, (lower, upper), SI units; default (0, None) for what is positive.
-        noise: by column, known standard deviation, SI units, a number or one per row, or `Noise(floor, fraction)`;
-            what is not given is estimated, for each column of each table, from the residuals. That of `base_tension`
-            is one number, 0 for exact base tensions. It also decides which turns a history ignores.
+        noise: by column, known standard deviation, SI units, a number or one for each reading, or
+            `Noise(floor, fraction)`; what is not given is estimated, for each column of each table, from the
+            residuals. That of `base_tension` is one number, 0 for exact base tensions. It also decides which turns a
+            history ignores.
         setting: what all rows share: constant loads such as gravity, positions of markers, known numbers of the bench.
         history: whether each row depends on the rows before it, in the order of the columns `step` or `time`, or else
             in that of the file. "each": every row was pulled from rest, its tensions and forces in proportion; loads

@@ -100,7 +100,7 @@ def trials_of(table: Measurements) -> tuple[str, ...]:
 
 
 def noise_of(groups: Sequence[Group], noise: Mapping[str, ArrayLike | Noise]) -> dict[str, ArrayLike | Noise | None]:
-    """By group, the given noise of its column; of one number per row, those of the rows in which the column was read.
+    """By group, the given noise of its column, or None.
 
     Raises:
         InputError: for a column that no table holds.
@@ -109,9 +109,4 @@ def noise_of(groups: Sequence[Group], noise: Mapping[str, ArrayLike | Noise]) ->
     for column in set(noise) - columns:
         held = ", ".join(sorted(columns))
         raise InputError(f"fit: noise is given for {column!r}, which no table holds; they hold {held}")
-    found: dict[str, ArrayLike | Noise | None] = {}
-    for group in groups:
-        given = noise.get(group.column)
-        per_row = given is not None and not isinstance(given, Noise) and np.shape(given) == group.there.shape
-        found[group.label] = np.asarray(given)[group.there] if per_row else given
-    return found
+    return {group.label: noise.get(group.column) for group in groups}
