@@ -165,11 +165,6 @@ class Evidence:
         """Whether all noise was given, or some data were left to estimate it."""
         return len(self.jacobian) > len(self.spectrum.root) or not any(self.noise_estimated.values())
 
-    def freedom_of(self, group: str) -> float:
-        """The readings of a group, less what the parameters take of them."""
-        rows = without_nan(self.rows[group])
-        return len(rows) - float(np.sum(self.spectrum.leverage(rows)))
-
     def uncertainty(self, slopes: np.ndarray) -> Uncertainty:
         """Of quantities with these derivatives by the parameters (rows: quantities). All intervals come from here.
 

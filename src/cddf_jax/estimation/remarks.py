@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from scipy.special import chdtrc, fdtrc, ndtr, stdtr
 
-from .evidence import Evidence
+from .evidence import Evidence, without_nan
 from .levenberg_marquardt import UNEXPLAINED, Minimum
 from .parameter_space import TINY
 
@@ -119,7 +119,8 @@ def chance_of_more(evidence: Evidence, residuals: Mapping[str, np.ndarray], name
     directions, sizes, _ = np.linalg.svd(wide - basis @ (basis.T @ wide), full_matrices=False)
     kept = directions[:, sizes > NEW * np.linalg.norm(wide)]
     count, explained = kept.shape[1], kept @ (kept.T @ every)
-    freedom = evidence.freedom_of(name) - np.sum(kept[own] ** 2)
+    rows = without_nan(evidence.rows[name])
+    freedom = len(rows) - np.sum(evidence.spectrum.leverage(rows)) - np.sum(kept[own] ** 2)
     if not count or not np.all(np.isfinite(every)) or freedom < 1:
         return 1.0
     if not evidence.noise_estimated[name]:

@@ -78,14 +78,9 @@ class Course(eqx.Module):
     number: Int[np.ndarray | Array, " trials"] | None = None  # of each trial among those of all tables, from 1
 
     @property
-    def _falls(self) -> np.ndarray:
-        """(trials, steps - 1), whether any base tension or displacement falls."""
-        return np.any(np.diff(np.asarray(self.readings), axis=1) < 0, axis=2)
-
-    @property
     def turns(self) -> bool:
         """Whether any of the paths turns, or began with a release."""
-        return self.past is not None or bool(np.any(self._falls))
+        return self.past is not None or bool(np.any(np.diff(np.asarray(self.readings), axis=1) < 0))
 
     @property
     def turn_steps(self) -> list[np.ndarray]:

@@ -121,7 +121,11 @@ def warnings_of_rows(
             yield f"{name}: no column for tendon {', '.join(map(str, sorted(slack)))}: taken as slack"
         for column in set_by(table.columns):
             if (steady := without_jitter.get(f"{name}: {column}")) and steady.num_ignored:
-                yield _jitter_in_words(name, column, steady)
+                noise, least = (shown(x, dimension_of(kind_of_set(column))) for x in (steady.noise, steady.least_turn))
+                yield (
+                    f"{name}: {column} jitters by {noise} (standard deviation), and {steady.num_ignored} of its turns "
+                    f"of {least} or less are taken for noise; if they are real, give the noise of {column}"
+                )
 
 
 def warnings_of_inputs(
@@ -238,15 +242,6 @@ def neighbours_in_words(correlation: float) -> str:
         f"residuals of neighbouring rows are alike (correlation {correlation:.2f}), as a wrong model makes them: "
         f"standard errors and intervals are {np.sqrt(variance_of_neighbours(correlation)):.1f} times those of "
         "independent readings"
-    )
-
-
-def _jitter_in_words(name: str, column: str, steady: Steady) -> str:
-    """What was ignored of a column as noise."""
-    noise, least = (shown(size, dimension_of(kind_of_set(column))) for size in (steady.noise, steady.least_turn))
-    return (
-        f"{name}: {column} jitters by {noise} (standard deviation), and {steady.num_ignored} of its turns of {least} "
-        f"or less are taken for noise; if they are real, give the noise of {column}"
     )
 
 
