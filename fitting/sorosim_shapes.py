@@ -121,7 +121,8 @@ def figure(shapes: Shapes, found: Compared) -> Figure:
     shown = order[np.linspace(0, order.size - 1, SHOWN).astype(int)]
     own, _ = jax.jit(jax.vmap(lambda loads: positions(loads, fine)))(shapes.loads[shown])
     with draw.house_style():
-        drawn, (rods, differences) = draw.panel_axes(2, 2.6)
+        drawn = draw.new_figure(draw.DOUBLE_COLUMN, 2.9)
+        rods, differences = drawn.subplots(1, 2)
         for place, theirs in zip(1e3 * np.asarray(own), 1e3 * shapes.position[shown], strict=True):
             rods.plot(place[:, 0], place[:, 2], color=looks.BLUE, label="cddf_jax", zorder=1)
             look = {"linestyle": "none", "marker": "o", "markersize": 2.5, "color": looks.VERMILION}

@@ -36,3 +36,5 @@ def test_a_friction_moment_explains_a_loop():
     assert found.success
     assert STUDY.misfit(found) < 1.5e-3
     assert 0.7e-3 < found.value["friction_moment"] / float(body.stiffness(0.0)) / 1e3 < 1.0e-3
+    (off,) = found.tip_misfits.values()
+    assert off.across < off.in_plane < STUDY.misfit(found)
