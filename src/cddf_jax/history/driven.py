@@ -100,9 +100,10 @@ def driven(
         )
         return new, (drive, turn)
 
-    first_try = _first_try(constant)
-    remembered = headings if in_space else None
-    start = _Driven(stack._replace(value=jax.lax.stop_gradient(values)), tensions, values, remembered)
+    base = constant.cross_section(jnp.zeros_like(jnp.asarray(body.length)))
+    first_try = 1e-3 * base.stiffness / (base.offset[0] * jnp.asarray(constant.length))  # N, a small tension
+    known = stack._replace(value=jax.lax.stop_gradient(values))
+    start = _Driven(known, tensions, values, headings if in_space else None)
     return jax.lax.scan(advance, start, (wanted, first_step + jnp.arange(wanted.size)))[1]
 
 
@@ -172,12 +173,6 @@ def _tension_for(
     if heading is not None:
         heading = heading + jnp.where(exact, fixed(turning) * (tension - near), 0.0)
     return Drive(tension, slack, moves & ~slack & ~enough), Gained(added, heading)
-
-
-def _first_try(body: Manipulator) -> Number:
-    """A small tension, N: a thousandth of the stiffness at the base over the length and over the offset there."""
-    section = body.cross_section(jnp.zeros_like(jnp.asarray(body.length)))
-    return jax.lax.stop_gradient(1e-3 * section.stiffness / (section.offset[0] * jnp.asarray(body.length)))
 
 
 class _Bracket(NamedTuple):

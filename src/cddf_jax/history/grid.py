@@ -21,7 +21,6 @@ from ..mechanics.friction import PerTendon
 from ..mechanics.geometry import Geometry
 from ..mechanics.problem import breakpoints_under, geometry_of, guarded_section, load_rate, loads_at_points
 from ..numerics import tolerances as tol
-from ..numerics.arrays import largest_size
 from ..numerics.elements import smooth_pieces
 from ..robot.cross_section import AnySection, where_present
 from ..robot.loads import Loads
@@ -107,11 +106,6 @@ class Grid(eqx.Module):
     def as_length(self, goal: Goal) -> Number | float:
         """The length, m, that stands for one unit of a goal."""
         return {"displacement": 1.0, "tip_angle": self.scale}.get(goal.quantity, self.softness)
-
-    def turned_by(self, tension: PerTendon) -> Number:
-        """The angle, rad, by which a tension turns the body without friction; that of the tendon that turns it most."""
-        compliance = jnp.sum(self.weights / self.geometry.bending_stiffness(self.sections))
-        return compliance * self.scale * largest_size(tension)
 
     def free_strain(self, node: Node, section: AnySection, force: Array | None) -> Array:
         """The strain of a cross-section in equilibrium, without friction of the body."""

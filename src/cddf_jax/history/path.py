@@ -1,7 +1,7 @@
 """A path as it is given: tensions or displacements of the tendons, and loads, after each step."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple, cast, get_args
 
 import equinox as eqx
 import jax
@@ -16,7 +16,6 @@ from ..robot.manipulator import Manipulator
 from ..statics.targets import Displacement, TipAngle, TipTension, TotalTension
 from .grid import Goal
 
-ALONG_A_PATH = Displacement, TipAngle, TipTension, TotalTension
 AlongAPath = Displacement | TipAngle | TipTension | TotalTension
 Driven = ArrayLike | AlongAPath | Sequence[ArrayLike | AlongAPath | Sequence[ArrayLike]]
 
@@ -71,8 +70,8 @@ def _entries_of(base_tension: Driven) -> Sequence[object]:
     """
     entries = base_tension if isinstance(base_tension, tuple | list) else [base_tension]
     for entry in entries:
-        if isinstance(entry, eqx.Module) and not isinstance(entry, ALONG_A_PATH):
-            kinds = ", ".join(kind.__name__ for kind in ALONG_A_PATH)
+        if isinstance(entry, eqx.Module) and not isinstance(entry, AlongAPath):
+            kinds = ", ".join(kind.__name__ for kind in get_args(AlongAPath))
             raise TypeError(
                 f"trace: a path may hold base tensions, {kinds}, got {type(entry).__name__}; give the tension or the "
                 "length pulled in after each step (solve finds tensions without a history: they are right up to the "
@@ -105,7 +104,7 @@ def given_path(
 
 def _actuation(manipulator: Manipulator, base_tension: Driven) -> tuple[Array, Array, tuple[Goal, ...]]:
     count, entries = manipulator.num_tendons, _entries_of(base_tension)
-    driven = tuple(Goal(i, entry.quantity) for i, entry in enumerate(entries) if isinstance(entry, ALONG_A_PATH))
+    driven = tuple(Goal(i, entry.quantity) for i, entry in enumerate(entries) if isinstance(entry, AlongAPath))
     if not driven:
         tension = as_numbers(base_tension, "trace: base_tension")
         shape = tension.shape

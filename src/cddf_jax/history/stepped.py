@@ -115,13 +115,6 @@ class SteppedStates(States):
         return found[:, 0] if found.shape[1] == 1 else found
 
 
-class _Rough(NamedTuple):
-    """How a pass differs from the fine one. The difference of their results estimates the error."""
-
-    elements: Number  # 1 for half as many, else 0
-    increments: Number  # 1 for half as many, else 0
-
-
 class _SoFar(NamedTuple):
     """How far a step has come."""
 
@@ -134,19 +127,19 @@ class _SoFar(NamedTuple):
 
 
 def _followed(
-    manipulator: Manipulator, path: Path, kind: Following, start: Instant | None, rough: _Rough
+    manipulator: Manipulator, path: Path, kind: Following, start: Instant | None, halved: tuple[Number, Number]
 ) -> tuple[Instant, TipPose, Float[Array, "steps tendons"], Bool[Array, " steps"]]:
     """The instants after all steps, their tips, fronts, and whether fibres cross.
 
     Args:
         manipulator, path, kind: as in `stepped_history`.
         start: the instant before the first step; None for rest.
-        rough: how the pass differs from the fine one.
+        halved: 1 for half as many elements, and for half as many increments; else 0.
     """
-    zero = zero_as(manipulator, path, rough)  # under shard_map all numbers vary over the devices, or none
-    grid = varying_as(cut_into_elements(manipulator, kind.num_elements, _last(path.loads), rough.elements), zero)
+    zero = zero_as(manipulator, path, halved)  # under shard_map all numbers vary over the devices, or none
+    grid = varying_as(cut_into_elements(manipulator, kind.num_elements, _last(path.loads), halved[0]), zero)
     given = varying_as(jax.vmap(partial(_given, grid))(path.tension, path.goal, path.loads), zero)
-    advance = partial(_advanced, grid, kind.num_increments, rough.increments + zero)
+    advance = partial(_advanced, grid, kind.num_increments, halved[1] + zero)
     start = _before_first(grid, path, start, advance, zero)
     goal = start.given.goal
     for each in kind.driven:
@@ -173,20 +166,11 @@ def _before_first(grid: Grid, path: Path, start: Instant | None, advance: Callab
 
 
 def _advanced(
-    grid: Grid, most: int, rough: Number, goals: tuple[Goal, ...], instant: Instant, to: Given
+    grid: Grid, most: int, halved: Number, goals: tuple[Goal, ...], instant: Instant, to: Given
 ) -> tuple[Instant, Instant]:
-    """The instant after a step, for the next step and for the results; an increment that does not settle is cut.
-
-    Args:
-        grid: the body.
-        most: the largest number of increments that the step is divided into; `rough`: 1 for half as many, else 0.
-        goals: what is given of the driven tendons.
-        instant: before the step.
-        to: what acts after it.
-    """
+    """The instant after a step, for the next step and for the results; an increment that does not settle is cut."""
     before, driven = instant.given, tendons_of(goals)
-    count = _num_increments(grid, most, before, to) if not goals else float(most)
-    widest = (1.0 + rough) / count
+    widest = (1.0 + halved) / (most if goals else _num_increments(grid, most, before, to))
 
     def part(so_far: _SoFar, _: None) -> tuple[_SoFar, None]:
         onto = jnp.minimum(so_far.done + so_far.width, 1.0)
@@ -218,7 +202,8 @@ def _num_increments(grid: Grid, most: int, before: Given, to: Given) -> Number:
     """
     change = without_derivative(jax.tree.map(jnp.subtract, to, before))
     loads = [x for x in (change.force, change.moment, change.tip_moment) if x is not None]
-    few = jnp.clip(jnp.ceil(most * grid.turned_by(change.base_tension) / FULL_TURN), 2, most)
+    arm = grid.scale * jnp.sum(grid.weights / grid.geometry.bending_stiffness(grid.sections))
+    few = jnp.clip(jnp.ceil(most * arm * largest_size(change.base_tension) / FULL_TURN), 2, most)
     return jnp.where(largest_size(loads) > 0, most, few) if loads else few
 
 
@@ -245,14 +230,12 @@ def stepped_history(manipulator: Manipulator, path: Path, start: SteppedStates |
     manipulator, path, physical = _checked(manipulator, path)
     count = 3 if kind.estimated else 1
     last = None if start is None else jax.tree.map(lambda x: x[:count, -1], start.passes)
-    rough = _Rough(jnp.array([0.0, 1.0, 0.0]), jnp.array([0.0, 0.0, 1.0]))
-    rough = jax.tree.map(lambda x: x[:count], rough)
+    halved = jnp.array([0.0, 1.0, 0.0])[:count], jnp.array([0.0, 0.0, 1.0])[:count]
     follow = partial(_followed, manipulator, path, kind)
-    passes, tips, fronts, crossing = jax.lax.map(lambda given: follow(*given), (last, rough))
+    passes, tips, fronts, crossing = jax.lax.map(lambda given: follow(*given), (last, halved))
     grid = cut_into_elements(manipulator, kind.num_elements, _last(path.loads))
     instants, tip = jax.tree.map(lambda x: x[0], (passes, tips))
-    others = jax.tree.map(lambda x: x[1:], tips)
-    apart = jax.vmap(jax.vmap(partial(difference, grid)), (None, 0))(tip, others)
+    apart = jax.vmap(jax.vmap(partial(difference, grid)), (None, 0))(tip, jax.tree.map(lambda x: x[1:], tips))
     least = LEAST_ERROR if kind.estimated else jnp.nan
     least = least * jnp.maximum(1.0, instants.body.elastic / (tol.ELASTIC * grid.scale))
     error = least + SAFETY * jnp.sum(apart, axis=0) + jax.vmap(partial(pushed, grid))(instants, tip)
