@@ -56,3 +56,10 @@ def test_a_scale_judges_what_is_zero():
     assert fits[1.0].standard_error["a"] == pytest.approx(error, rel=1e-4)
     assert error > 0.5 * 0.01
     assert fits[0.01].status["a"] == "not identified"
+
+
+@pytest.mark.parametrize(("read", "scale", "known"), [(3.0, 1.0, False), (7.0, 1.0, True), (0.0, 3.0, True)])
+def test_what_may_be_zero_is_not_identified_because_noise_made_it_large(read, scale, known):
+    """One reading with an error of 1.2: 3.0 may be a large error, 7.0 is no error, and 3.0 matters more than 1.2."""
+    fit = least_squares_fit(lambda p: p["a"][None], {"a": 0.1}, np.array([read]), 1.2, scales={"a": scale})
+    assert (fit.status["a"] == "identified") == known

@@ -171,7 +171,7 @@ PULL, AGAINST = [30.0, 60.0, 45.0], [5.0, 10.0, 10.0]
 def test_loops_of_several_tendons_and_under_loads_are_traces():
     """One by one; a tension that is not on the path stays, or is an axis of its own."""
     names = "tip_angle", "tip_tension", "front", "work", "curvature", "error_estimate"
-    few: dict[str, Any] = {"short_steps": 4, "nodes": 4}
+    few: dict[str, Any] = {"short_steps": 4, "nodes": 6}
     axes = {"path": {"base_tension_1": PULL, "base_tension_2": AGAINST}, "friction_coefficient": [0.2, 0.42]}
     answer = cddf.sweep(PAIR, axes, history=True, outputs=names, **few)
     assert answer.tip_tension.dims == ("path", "friction_coefficient", "tendon")

@@ -16,6 +16,7 @@ PRIOR_ONLY = "prior only"
 AT_BOUND = "at bound"
 FIXED = "fixed"
 LARGEST_RELATIVE_ERROR = 0.5  # of a parameter that is called identified
+OF_ITSELF = 0.2  # the same of one that may be 0, where it is larger than the size that matters
 ALL_OF_PRIOR = 0.98  # standard error over that of its prior, from which on the prior alone determines a parameter
 NEGLIGIBLE_POWER = 0.02  # of a parameter in a direction, where the largest is 1; closer ones count as equal
 
@@ -111,12 +112,13 @@ def _statuses(evidence: Evidence, error: np.ndarray, low: np.ndarray, high: np.n
     """The status of each parameter.
 
     Identified means: the 95 % interval closes inside the bounds, the relative standard error is below 0.5, and the fit
-    did not fail.
+    did not fail. A parameter that may be 0 is known to half of a size that matters, or where it is larger, to a fifth
+    of itself: else one whose noise makes it large would be called identified for that.
     """
     space = evidence.space
-    # a parameter without a lower bound may be 0: its scale counts as its size where that is larger
-    scale = np.where(np.isfinite(space.lower), 0.0, space.scale)
-    known = error < LARGEST_RELATIVE_ERROR * np.maximum(evidence.size, scale)
+    may_be_zero = ~np.isfinite(space.lower)
+    known = error < LARGEST_RELATIVE_ERROR * np.where(may_be_zero, space.scale, evidence.size)
+    known |= may_be_zero & (error < OF_ITSELF * evidence.size)
     closed = (low > space.lower) & (high < space.upper)
     data_error = evidence.spectrum.relative_error * evidence.size
     if evidence.prior_rows:

@@ -161,10 +161,10 @@ def first_guesses(
     alone = all(rows.shape[1] == 1 for _, rows in tables)
     for past, rows in tables:
         for names, own, row in zip(past.parameters, np.nan_to_num(past.stated), rows, strict=True):
-            for name, stated, reading in zip(names, own.tolist(), row.tolist(), strict=True):
-                if name:
+            for i, name in enumerate(names):
+                if name:  # by displacement rows need no tension of every tendon
                     before = most.get(name, (0.0, 0.0))
-                    most[name] = max(before[0], stated), max(before[1], reading)
+                    most[name] = max(before[0], float(own[i])), max(before[1], float(row[i]))
     return {
         name: (stated or ABOVE * reading or 1.0, reading if alone else 0.0) for name, (stated, reading) in most.items()
     }
