@@ -11,8 +11,8 @@ Friction coefficient, modulus, compliance and the slack offset of each tendon ar
 of modulus and compliance only, so that neither may be called identified. Numbers that are too large are called
 identified more often. So both shares are counted: of identified quantities, and of all stated intervals. Where a
 parameter is not identified, the stated interval has open sides; a product that is not identified counts as held. The
-benches are simulated with twice the
-elements and increments of the fit. The seed is fixed beforehand, 23; bench k is drawn from (23, k).
+benches are simulated with three times the elements and twice the increments of the fit. The seed is fixed beforehand,
+23; bench k is drawn from (23, k).
 """
 
 import argparse

@@ -69,7 +69,7 @@ def drawn(number: int) -> Draw:
 
 def bench(draw: Draw) -> cddf.Measurements:
     """One simulated table."""
-    history = cddf.trace(body_of(**TRUTH), draw.pulls, nodes=16, short_steps=8, throw=False)
+    history = cddf.trace(body_of(**TRUTH), draw.pulls, nodes=22, short_steps=8, throw=False)
     tip = np.asarray(history.tip_position) @ draw.turn.T + draw.place + draw.off
     read = draw.pulls + draw.misread
     columns = {f"base_tension{end}": read[:, i] for i, end in enumerate(("", "_2", "_3"))}
