@@ -111,14 +111,16 @@ def determine(evidence: Evidence) -> Determination:
 def _statuses(evidence: Evidence, error: np.ndarray, low: np.ndarray, high: np.ndarray) -> list[str]:
     """The status of each parameter.
 
-    Identified means: the 95 % interval closes inside the bounds, the relative standard error is below 0.5, and the fit
-    did not fail. A parameter that may be 0 is known to half of a size that matters, or where it is larger, to a fifth
-    of itself: else one whose noise makes it large would be called identified for that.
+    Identified means: the 95 % interval closes inside the bounds, the relative standard error is below 0.5, also if it
+    is as large as the longer side of the interval says, and the fit did not fail. A parameter that may be 0 is known to
+    half of a size that matters, or where it is larger, to a fifth of itself: else one whose noise makes it large would
+    be called identified for that.
     """
     space = evidence.space
     may_be_zero = ~np.isfinite(space.lower)
-    known = error < LARGEST_RELATIVE_ERROR * np.where(may_be_zero, space.scale, evidence.size)
-    known |= may_be_zero & (error < OF_ITSELF * evidence.size)
+    largest = error if evidence.ends is None else error * evidence.ends.max(axis=1)
+    known = largest < LARGEST_RELATIVE_ERROR * np.where(may_be_zero, space.scale, evidence.size)
+    known |= may_be_zero & (largest < OF_ITSELF * evidence.size)
     closed = (low > space.lower) & (high < space.upper)
     data_error = evidence.spectrum.relative_error * evidence.size
     if evidence.prior_rows:
