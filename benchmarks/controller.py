@@ -9,6 +9,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from paper import paper_body
 
 import cddf_jax as cddf
 from cddf_jax.application import configure_jax
@@ -26,11 +27,6 @@ def three_tendons() -> cddf.Manipulator:
         density=1070.0,
         tendons=[cddf.Tendon(offset=0.0085, angle=k * 2 * np.pi / 3) for k in range(3)],
     )
-
-
-def pair() -> cddf.Manipulator:
-    sizes: dict[str, Any] = {"length": 0.140, "outer_radius": (0.020, 0.013), "inner_radius": 0.007}
-    return cddf.conical(**sizes, num_tendons=2, tendon_offset=0.010, youngs_modulus=1.4e6, friction_coefficient=0.42)
 
 
 def followed(
@@ -58,8 +54,8 @@ def main() -> None:
     both = np.stack([40.0 + 25.0 * np.cos(turns), 40.0 - 25.0 * np.cos(turns)], axis=1)
     cases = {
         "three tendons in space, gravity": (three_tendons(), star, cddf.Loads(gravity=(9.81, 0.0, 0.0))),
-        "two tendons in the plane": (pair(), both, None),
-        "two tendons in the plane, a force": (pair(), both, cddf.Loads(tip_force=(0.0, 0.3))),
+        "two tendons in the plane": (paper_body(num_tendons=2), both, None),
+        "two tendons in the plane, a force": (paper_body(num_tendons=2), both, cddf.Loads(tip_force=(0.0, 0.3))),
     }
     print("| body | median, ms | least | largest | position, of the length | tip tension |")
     print("| --- | ---: | ---: | ---: | ---: | ---: |")

@@ -347,6 +347,8 @@ WRONG = [
         "--together 'base_tension,friction_coefficient': base_tension varies together with others already; name all",
     ),
     ((*TENSIONS, "-t", "5 N"), "sweep: base_tension is given and an axis; leave one out"),
+    ((*TENSIONS, "--over", "kinematics=exact", "--kinematics", "exact"), "kinematics is given by --kinematics and "),
+    ((*TENSIONS, "--samples", "5"), "--samples 5: nothing is sampled"),
     ((*TENSIONS, "--over", "nodes=8:16:2"), "--over nodes: write whole numbers as in nodes=8,16"),
     ((*TENSIONS, "--over", "method=literal"), "--over method: the command line takes no methods"),
     ((*TENSIONS, "--sample", "youngs_modulus=1MPa:2MPa"), "--sample needs the number of samples"),

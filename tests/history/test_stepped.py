@@ -50,12 +50,14 @@ def test_without_an_estimate_the_answer_is_the_same(pair):
 
 
 def test_small_steps_have_few_increments_and_stay_accurate():
-    """A loop of small steps at the defaults; with four times the increments it differs by their error alone."""
+    """A loop of small steps differs from one with four times the increments by their error; a tiny step has two."""
     turns = np.linspace(0.0, 2 * np.pi, 24)
     path = np.stack([40.0 + 25.0 * np.cos(turns), 40.0 - 25.0 * np.cos(turns)], axis=1)
     few, many = (cddf.trace(PAIR, path, short_steps=count, estimate_error=False) for count in (16, 64))
     np.testing.assert_allclose(few.tip_tension, many.tip_tension, atol=65.0 * 1e-3)
     np.testing.assert_allclose(few.tip_position, many.tip_position, atol=0.14 * 1e-4)
+    two, most = (cddf.trace(PAIR, path[-1:] + 0.2, start=few, short_steps=count) for count in (2, 16))
+    np.testing.assert_allclose(two.tip_tension, most.tip_tension, rtol=1e-12)
 
 
 def test_a_small_body_is_similar(pair):

@@ -143,6 +143,8 @@ def sweep(
     The figure shows outputs over one axis, with a line for each value of the others, or over two. Solves that fail are
     counted and marked.
     """
+    if kinematics is not None and any(text.partition("=")[0].strip() == "kinematics" for text in over or []):
+        raise InputError("kinematics is given by --kinematics and varies too; leave one out")
     with stage("loading"):
         _configure(distributed=distributed)
         from ..reports import sweep_report

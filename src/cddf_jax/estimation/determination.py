@@ -16,7 +16,7 @@ PRIOR_ONLY = "prior only"
 AT_BOUND = "at bound"
 FIXED = "fixed"
 LARGEST_RELATIVE_ERROR = 0.5  # of a parameter that is called identified
-OF_ITSELF = 0.2  # the same of one that may be 0, where it is larger than the size that matters
+OF_ITSELF = 0.2  # largest error of a parameter that may be 0, over its value
 ALL_OF_PRIOR = 0.98  # standard error over that of its prior, from which on the prior alone determines a parameter
 NEGLIGIBLE_POWER = 0.02  # of a parameter in a direction, where the largest is 1; closer ones count as equal
 
@@ -111,10 +111,10 @@ def determine(evidence: Evidence) -> Determination:
 def _statuses(evidence: Evidence, error: np.ndarray, low: np.ndarray, high: np.ndarray) -> list[str]:
     """The status of each parameter.
 
-    Identified means: the 95 % interval closes inside the bounds, the relative standard error is below 0.5, also if it
-    is as large as the longer side of the interval says, and the fit did not fail. A parameter that may be 0 is known to
-    half of a size that matters, or where it is larger, to a fifth of itself: else one whose noise makes it large would
-    be called identified for that.
+    Identified means: the 95 % interval closes inside the bounds, the relative error is below 0.5, and the fit did not
+    fail. The error is the standard error, or more where one side of the interval is longer. A parameter that may be 0
+    must be known to half of a size that matters, or to a fifth of its value: a parameter that noise makes large is then
+    seldom called identified.
     """
     space = evidence.space
     may_be_zero = ~np.isfinite(space.lower)

@@ -303,9 +303,10 @@ def draw_profile(fit: Fit, profile: Profile, axes: Axes | None = None) -> Axes:
         patch = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0}
         look = {"transform": axes.transAxes, "va": "top", "color": looks.VERMILION, "bbox": patch}
         if not profile.closed[0]:
-            axes.text(0.03, 0.96, "← open", ha="left", **look)
+            word = "no solution" if profile.model_ends[0] else "bound" if status == AT_BOUND else "open"
+            axes.text(0.03, 0.96, word if word == "bound" else f"← {word}", ha="left", **look)
         if not profile.closed[1]:
-            axes.text(0.97, 0.96, "open →", ha="right", **look)
+            axes.text(0.97, 0.96, "no solution →" if profile.model_ends[1] else "open →", ha="right", **look)
         draw.legend_above(axes)
     return axes
 
