@@ -9,9 +9,7 @@ from jaxtyping import Array, Float, PyTree
 
 from ..mechanics.directions import Directions
 from ..mechanics.march import FixedPoint
-from ..mechanics.problem import (
-    Method,
-)
+from ..mechanics.problem import Method
 from ..numerics.rotations import rotation_vector
 from ..robot.loads import Loads, loads_in_space
 from ..robot.manipulator import Manipulator
