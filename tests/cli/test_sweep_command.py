@@ -426,21 +426,21 @@ PAIR_LOOP = ("--over", "base_tension_1=0N:75N:4,40N", "--over", "base_tension_2=
 
 
 def test_the_axis_that_is_the_path(run, two_tendons, monkeypatch, tmp_path):
-    """By an option, or in a task file; without it the remedy names the option."""
+    """By an option, or in a task file; where it is no axis of base tensions the remedy names the option."""
     works = []
     monkeypatch.setattr(sweep_report, "run_sweep", lambda work, places, options: works.append(work))
     task = tmp_path / "sweep.toml"
-    task.write_text('history_axis = "base_tension_1"\nshort_steps = 4\n', encoding="utf-8")
-    path = ("--history", "--over", "base_tension=0N:75N:4,40N,75N", *FRICTIONS, "--out", "loops")
+    task.write_text('history = "base_tension_1"\nshort_steps = 4\n', encoding="utf-8")
+    path = ("--history", "base_tension", "--over", "base_tension=0N:75N:4,40N,75N", *FRICTIONS, "--out", "loops")
     assert run(PAPER, *path)[0] == 0
     assert (works[-1].path.name, works[-1].path.size) == ("base_tension", 6)
-    for options in (("--history-axis", "base_tension_1", "--short-steps", "4"), ("--task", task)):
+    for options in (("--history", "base_tension_1", "--short-steps", "4"), ("--task", task)):
         assert run(two_tendons, *PAIR_LOOP, *options, "--out", "loops")[0] == 0
         assert (works[-1].path.name, works[-1].short_steps) == ("base_tension_1", 4)
-    code, _, error = run(two_tendons, *PAIR_LOOP, "--history", "--dry-run")
+    code, _, error = run(two_tendons, *PAIR_LOOP, "--history", "base_tension", "--dry-run")
     assert code == 2
     assert error.startswith("error: sweep: base tensions vary along 'base_tension_1', 'base_tension_2'; give ")
-    assert error.endswith("the path (--history-axis)\n")
+    assert error.endswith("the path (--history)\n")
 
 
 # --- processes -----------------------------------------------------------------------------------

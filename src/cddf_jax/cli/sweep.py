@@ -74,19 +74,13 @@ Sample = Annotated[
     ),
 ]
 History = Annotated[
-    bool,
-    typer.Option(
-        "--history",
-        help="Take the base tensions of --over as a path in time, from rest: tendons are pulled and released in their "
-        'order, for each combination of the others. Smooth loops: "base_tension=0N:75N:31,75N:20N:23".',
-    ),
-]
-HistoryAxis = Annotated[
     str | None,
     typer.Option(
-        help="Like --history, for base tensions of several tendons along separate axes: the name of the axis that is "
-        'the path, such as "base_tension_1". An axis made by --together has a name such as '
-        '"base_tension_1_and_base_tension_2".'
+        metavar="AXIS",
+        help='The axis of base tensions that is a path in time, from rest, such as "base_tension": tendons are pulled '
+        "and released in its order, for each combination of the others. Smooth loops: "
+        '"base_tension=0N:75N:31,75N:20N:23". An axis made by --together has a name such as '
+        '"base_tension_1_and_base_tension_2".',
     ),
 ]
 BaseTension = Annotated[
@@ -114,8 +108,7 @@ def sweep(
     together: Together = None,
     sample: Sample = None,
     samples: Annotated[int, typer.Option(help="Number of samples, for --sample.", min=0)] = 0,
-    history: History = False,
-    history_axis: HistoryAxis = None,
+    history: History = None,
     short_steps: options.ShortSteps = 16,
     base_tension: BaseTension = None,
     tip_force: options.TipForce = None,
@@ -162,7 +155,7 @@ def sweep(
         samples,
         base_tension or [],
         loads=options.loads_of(read, tip_force, tip_moment, gravity, point_load),
-        history=history_axis or history,
+        history=history or False,
         short_steps=short_steps,
         outputs=tuple(dict.fromkeys(name.strip() for text in output for name in text.split(","))),
         nodes=nodes,

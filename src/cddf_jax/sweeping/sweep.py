@@ -321,7 +321,7 @@ def _check_history(work: Sweep) -> None:
         which = ", ".join(map(repr, among))
         raise InputError(
             f"sweep: base tensions vary along {which}; give as history the name of the axis that is the path "
-            "(--history-axis)"
+            "(--history)"
         )
     along = (*work.path.numbers, *work.path.options)
     beside = [name for name in along if not name.startswith(ALONG_A_PATH) or name.endswith(".arc_length")]
