@@ -11,7 +11,7 @@ from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 
 from ..numerics.given_numbers import check_numbers
-from ..robot.loads import Loads, loads_in_space
+from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..statics.targets import Displacement, TipAngle, TipTension, TotalTension
 from .grid import Goal
@@ -93,7 +93,7 @@ def given_path(
     """
     tension, goal, driven = _actuation(manipulator, base_tension)
     if manipulator.in_space and loads is not None:
-        loads = loads_in_space(loads) if isinstance(loads, Loads) else [loads_in_space(each) for each in loads]
+        loads = loads.with_components(3) if isinstance(loads, Loads) else [one.with_components(3) for one in loads]
     along = _loads(loads, tension.shape[0], manipulator.in_space)
     path = Path(tension, goal, along, _resting(loads, along))
     if path.loads is None and any(each.quantity == "tip_angle" for each in driven):

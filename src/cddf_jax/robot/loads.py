@@ -84,7 +84,23 @@ class Loads(eqx.Module):
 
     def with_components(self, count: int) -> "Loads":
         """The same loads with three components each for a count of 3; for 2 they stay as they are."""
-        return loads_in_space(self) if count == 3 else self
+        if count < 3:
+            return self
+        points = [PointLoad(p.arc_length, _vector_in_space(p.force), _moment_in_space(p.moment)) for p in self.points]
+        gravity = _vector_in_space(self.gravity)
+        return Loads(_vector_in_space(self.tip_force), _moment_in_space(self.tip_moment), gravity, points)
+
+
+def _vector_in_space(value: Number) -> Number:
+    x = jnp.asarray(value)
+    return x if x.shape[-1] == 3 else jnp.concatenate([x, jnp.zeros_like(x[..., :1])], axis=-1)
+
+
+def _moment_in_space(value: Number) -> Number:
+    moment = jnp.asarray(value)
+    if moment.shape[-1:] == (3,):
+        return moment
+    return jnp.stack([jnp.zeros_like(moment), jnp.zeros_like(moment), moment], axis=-1)  # about Z
 
 
 def _check_components(what: str, vector: Number) -> None:
@@ -109,20 +125,3 @@ def point_in_words(point: PointLoad) -> str:
     force, moment = (", ".join(f"{x:.5g}" for x in np.atleast_1d(each)) for each in (point.force, point.moment))
     moment = f"({moment})" if np.ndim(point.moment) else moment
     return f"load at {shown(float(np.asarray(point.arc_length)), 'length')}: ({force}) N and {moment} N m"
-
-
-def loads_in_space(loads: Loads) -> Loads:
-    """The same loads with three components each."""
-
-    def vector(value: Number) -> Number:
-        x = jnp.asarray(value)
-        return x if x.shape[-1] == 3 else jnp.concatenate([x, jnp.zeros_like(x[..., :1])], axis=-1)
-
-    def turning(value: Number) -> Number:
-        moment = jnp.asarray(value)
-        if moment.shape[-1:] == (3,):
-            return moment
-        return jnp.stack([jnp.zeros_like(moment), jnp.zeros_like(moment), moment], axis=-1)  # about Z
-
-    points = [PointLoad(point.arc_length, vector(point.force), turning(point.moment)) for point in loads.points]
-    return Loads(vector(loads.tip_force), turning(loads.tip_moment), vector(loads.gravity), points)

@@ -11,7 +11,7 @@ from ..mechanics.directions import Directions
 from ..mechanics.march import FixedPoint
 from ..mechanics.problem import Method
 from ..numerics.rotations import rotation_vector
-from ..robot.loads import Loads, loads_in_space
+from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..robot.profiles import as_number
 from ..robot.validation import check_loads
@@ -50,8 +50,7 @@ def tip_compliance(
         Row by row the derivatives of X, Y and phi; NaN where `solve` would raise.
     """
     loads = Loads() if loads is None else loads
-    if manipulator.in_space or loads.in_space:
-        loads = loads_in_space(loads)
+    loads = loads.with_components(max(manipulator.components, loads.components))
     by = tip_jacobian(manipulator, base_tension, loads, direction=direction, method=method, nodes=nodes).loads
     assert by is not None
     by_moment = jnp.asarray(by.tip_moment)

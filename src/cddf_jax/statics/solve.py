@@ -21,7 +21,7 @@ from ..numerics import tolerances as tol
 from ..numerics.arrays import zero_as
 from ..numerics.fixed_point import without_derivative
 from ..robot.cross_section import planar
-from ..robot.loads import Loads, loads_in_space
+from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator, in_space
 from ..robot.profiles import Number
 from ..robot.validation import check_loads
@@ -166,8 +166,8 @@ def _solve(
     nodes: int,
 ) -> Equilibrium:
     to_find = not_stated(direction)
-    if manipulator.in_space and loads is not None:
-        loads = loads_in_space(loads)
+    if loads is not None:
+        loads = loads.with_components(manipulator.components)
     asked = one_precision(manipulator, given, direction, (targets, loads))
     numbers = jax.tree.leaves(eqx.filter(asked, eqx.is_inexact_array))
     finite = jnp.all(jnp.isfinite(jnp.concatenate([x.ravel() for x in numbers])))
