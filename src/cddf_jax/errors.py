@@ -2,8 +2,9 @@
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from difflib import get_close_matches
 from types import ModuleType
 
 
@@ -50,6 +51,13 @@ def within(place: str | os.PathLike[str], kind: Kind = InputError) -> Iterator[N
     except kind as error:
         own = error if isinstance(error, InputError) else InputError(str(error))
         raise own.at(str(place), *own.where) from None
+
+
+def known_names(name: str, known: Iterable[str]) -> str:
+    """The remedy for an unknown name: the known one that is like it, or else all of them."""
+    known = tuple(known)
+    close = get_close_matches(name, known, 1)
+    return f"did you mean {close[0]}?" if close else f"known are {', '.join(known)}"
 
 
 class SolveError(RuntimeError):

@@ -137,7 +137,7 @@ def test_what_is_no_objective(objective, message):
 @pytest.mark.parametrize("kind", [cddf.Least, cddf.Limit])
 def test_an_unknown_quantity_is_answered_with_the_known_ones(kind):
     said = refused(kind, "weight")
-    assert "'weight' is not a quantity of a body; there are " in said
+    assert "'weight' is not a quantity of a body; known are " in said
     assert all(name in said for name in BODY_QUANTITIES)
 
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from functools import cached_property
 from typing import NamedTuple
 
@@ -12,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
-from ..errors import InputError
+from ..errors import InputError, known_names
 from ..history.trace import trace
 from ..mechanics.fields import AnyFields
 from ..numerics.elements import Elements, elements_between, smooth_pieces
@@ -92,9 +91,8 @@ def quantity_named(name: QuantityName) -> BodyQuantity:
     if callable(name):
         return BodyQuantity("", lambda view: jnp.asarray(name(view.body, view.equilibrium)))
     if name not in BODY_QUANTITIES:
-        close = get_close_matches(name, BODY_QUANTITIES, 1)
-        remedy = f"did you mean {close[0]}?" if close else f"there are {', '.join(BODY_QUANTITIES)}"
-        raise InputError(f"design: {name!r} is not a quantity of a body; {remedy}")
+        remedy = known_names(name, BODY_QUANTITIES)
+        raise InputError(f"design: {name!r} is not a quantity of a body", remedy=remedy)
     return BODY_QUANTITIES[name]
 
 

@@ -1,10 +1,9 @@
 """Tensions, targets and loads out of text: "75 N", "tip_angle=45 deg", "tip_position=0.1, 0.08 m", "0 N, -5 N"."""
 
 from collections.abc import Callable, Sequence
-from difflib import get_close_matches
 from typing import TypeVar, cast
 
-from ..errors import InputError
+from ..errors import InputError, known_names
 from ..quantities import dimension_of
 from ..robot.loads import Loads, PointLoad
 from ..robot.manipulator import Manipulator
@@ -111,8 +110,7 @@ def _place(name: str, text: str, manipulator: Manipulator) -> TipPosition:
 
 def _target(name: str, where: str, kind: str, value: str, manipulator: Manipulator) -> Target:
     if kind not in TARGETS:
-        close = get_close_matches(kind, [*TARGETS, TipPosition.quantity], 1)
-        remedy = f"did you mean {close[0]}?" if close else f"known are {', '.join([*TARGETS, TipPosition.quantity])}"
+        remedy = known_names(kind, (*TARGETS, TipPosition.quantity))
         raise InputError(f"unknown target {kind!r}", where=where, remedy=remedy)
     if kind != "curvature":
         return cast(Target, TARGETS[kind](quantity(value, dimension_of(kind), f"{name} {kind}")))

@@ -81,7 +81,6 @@ import os
 import tomllib
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -89,7 +88,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import ArrayLike
 
-from ..errors import InputError, needed, within
+from ..errors import InputError, known_names, needed, within
 from ..quantities import QUANTITIES, dimension_of
 from ..robot.manipulator import STIFFNESSES, STRAINS, Manipulator, PointMass, Tendon
 from ..robot.profiles import Constant, Linear, Piecewise, Polyline, Profile, Spline, as_profile
@@ -331,12 +330,10 @@ def _tendon(table: _Table, length: float) -> Tendon:
 
 def check_keys(table: _Table, required: Sequence[str], others: Sequence[str] = ()) -> None:
     """Refuse unknown keys, and require those that must be there."""
-    known = tuple(dict.fromkeys((*required, *others)))
+    known = dict.fromkeys((*required, *others))
     for key in table:
         if key not in known:
-            close = get_close_matches(key, known, 1)
-            remedy = f"did you mean {close[0]}?" if close else f"known are {', '.join(known)}"
-            raise InputError(f"unknown key {key!r}; {remedy}")
+            raise InputError(f"unknown key {key!r}", remedy=known_names(key, known))
     for key in required:
         if key not in table:
             raise InputError(f"{key} is missing; add it")
