@@ -5,7 +5,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 from bodies import codes, paper_body, paper_plain, replaced, stack
 from jax.sharding import AxisType, PartitionSpec
 
@@ -33,6 +32,10 @@ FAILURES = {
     "NaN tension": (GOOD, jnp.nan, cddf.Status.unphysical),
     "locks": (LOCKING, 60.0, cddf.Status.locked),
 }
+NUMBERS = (
+    *("arc_length", "curvature", "heading", "position", "tension", "wrap_angle", "normal_force", "friction_force"),
+    *("tip_tension", "tip_position", "tension_loss", "tendon_displacement", "error_estimate"),
+)
 NEIGHBOURS = [(GOOD, 30.0), (paper_body("exact", outer_radius=(0.020, 0.018)), 50.0)]
 
 
@@ -57,44 +60,26 @@ def batch_with(failure):
     return stack([body for body, _ in lanes]), jnp.array([tension for _, tension in lanes])
 
 
-def without_failure():
-    """Without it the shape would differ: the failing lane becomes a copy of the first one, whose part is subtracted."""
-    bodies = stack([NEIGHBOURS[0][0], NEIGHBOURS[0][0], NEIGHBOURS[1][0]])
-    tensions = jnp.array([NEIGHBOURS[0][1], NEIGHBOURS[0][1], NEIGHBOURS[1][1]])
-    first = stack([NEIGHBOURS[0][0]] * 3), jnp.full(3, NEIGHBOURS[0][1])
-    return (bodies, tensions), first
+def of_neighbours(function):
+    """What a function of three lanes has for each neighbour alone, three times."""
+    return [function(stack([body] * 3), jnp.full(3, tension), 0.3) for body, tension in NEIGHBOURS]
 
 
-@pytest.mark.parametrize("failure", FAILURES)
-def test_a_failing_lane_reports_itself_and_no_other(failure):
-    bodies, tensions = batch_with(failure)
-    values, solutions = batch_of_three(bodies, tensions, 0.3)
-    expected = FAILURES[failure][2]
+def test_a_failing_lane_reports_itself_and_leaves_its_neighbours_and_all_derivatives_alone():
+    """Of the sum without NaN by the friction that all lanes share: forward, reverse and second derivative."""
+    alone = jnp.stack([values[0] for values, _ in of_neighbours(batch_of_three)])
+    slopes = sum(np.array(both) / 3 for both in of_neighbours(slopes_of_three))
+    bend = sum(x / 3 for x in of_neighbours(curvature_of_three))
     contradicted = cddf.Status.direction_contradicted  # the tendons shorten, and are said to slide out
-    assert codes(solutions.status) == [contradicted, expected, contradicted]
-    assert np.all(np.isnan(values[1]))
-    for field in (solutions.tension, solutions.position, solutions.normal_force, solutions.error_estimate):
-        assert np.all(np.isnan(field[1]))
-    (good, good_tensions), _ = without_failure()
-    neighbours, _ = batch_of_three(good, good_tensions, 0.3)
-    np.testing.assert_allclose(values[jnp.array([0, 2])], neighbours[jnp.array([0, 2])], rtol=1e-10)
-
-
-@pytest.mark.parametrize("failure", FAILURES)
-def test_a_failing_lane_leaves_the_derivative_by_a_shared_number_alone(failure):
-    """Forward and reverse: d(nansum)/dmu is the sum over the two lanes that are left."""
-    (good, good_tensions), (first, first_tensions) = without_failure()
-    all_three = np.array(slopes_of_three(good, good_tensions, 0.3))
-    one = np.array(slopes_of_three(first, first_tensions, 0.3)) / 3
-    slopes = slopes_of_three(*batch_with(failure), 0.3)
-    np.testing.assert_allclose(slopes, all_three - one, rtol=1e-9)
-
-
-def test_failing_lanes_leave_second_derivatives_alone():
-    (good, good_tensions), (first, first_tensions) = without_failure()
-    expected = curvature_of_three(good, good_tensions, 0.3) - curvature_of_three(first, first_tensions, 0.3) / 3
-    for failure in FAILURES:
-        np.testing.assert_allclose(curvature_of_three(*batch_with(failure), 0.3), expected, rtol=1e-8)
+    for failure, (*_, expected) in FAILURES.items():
+        bodies, tensions = batch_with(failure)
+        values, solutions = batch_of_three(bodies, tensions, 0.3)
+        assert codes(solutions.status) == [contradicted, expected, contradicted], failure
+        for name in NUMBERS:
+            assert np.all(np.isnan(getattr(solutions, name)[1])), (failure, name)
+        np.testing.assert_allclose(values[::2], alone, rtol=1e-10, err_msg=failure)
+        np.testing.assert_allclose(slopes_of_three(bodies, tensions, 0.3), slopes, rtol=1e-9, err_msg=failure)
+        np.testing.assert_allclose(curvature_of_three(bodies, tensions, 0.3), bend, rtol=1e-8, err_msg=failure)
 
 
 # --- loops and devices ---------------------------------------------------------------------------
