@@ -165,11 +165,11 @@ def plain_of(draw: Draw, kinematics: str) -> "PlainBody":
 UNIT_CUBE = st.tuples(*[st.floats(0.0, 1.0, allow_subnormal=False)] * 8)
 
 
-def draw_from(unit: Sequence[float], kinematics: str, d_kappa: float = 0.95) -> Draw:
+def draw_from(unit: Sequence[float], kinematics: str) -> Draw:
     """A body as section 3 of issue 2 wants them.
 
     Taper ratio 0.3 to 1, tension loss up to 80 %, wrap angle of the tendon up to 180 degrees (which
-    in the published kinematics exceeds the tip angle), d kappa up to `d_kappa`.
+    in the published kinematics exceeds the tip angle), d kappa up to 0.95.
     """
     taper, bore, place, slenderness, size, modulus, loss, wrap = unit
     taper, bore = 0.3 + 0.7 * taper, 0.8 * bore
@@ -191,16 +191,10 @@ def draw_from(unit: Sequence[float], kinematics: str, d_kappa: float = 0.95) -> 
     G = np.concatenate([[0], np.cumsum((d[1:] / J[1:] + d[:-1] / J[:-1]) / 2 * np.diff(x))])
     rising = np.expm1(mu_wrap) / G[-1]
     d_kappa_times_length = np.max(d * rising * d / J / (friction * (1 + rising * G)))
-    bound = (
-        d_kappa if kinematics == "exact" else d_kappa / (1 - d_kappa)
-    )  # published: kappa = kappa_c / (1 + d kappa_c)
+    bound = 0.95 if kinematics == "exact" else 0.95 / (1 - 0.95)  # published: kappa = kappa_c / (1 + d kappa_c)
     length = max(2 * outer * (1 + 19 * slenderness), d_kappa_times_length / bound)
     tension = rising / length * youngs_modulus / friction
     return Draw(length, outer, bore * outer, offset, taper, youngs_modulus, friction, tension)
-
-
-def draws(kinematics: str, d_kappa: float = 0.95) -> st.SearchStrategy[Draw]:
-    return UNIT_CUBE.map(lambda unit: draw_from(unit, kinematics, d_kappa))
 
 
 def random_draws(kinematics: str, count: int, seed: int) -> list[Draw]:

@@ -11,85 +11,70 @@ import pytest
 from cddf_jax.progress import SHOWN, Stages, each, stage
 
 
-class Clock:
-    """Stands still until it is set."""
-
-    def __init__(self):
-        self.time = 100.0
-
-    def __call__(self):
-        return self.time
-
-
-@pytest.fixture
-def clock():
-    return Clock()
-
-
 @pytest.fixture
 def lines():
     return []
 
 
 @pytest.fixture
-def shown(clock, lines):
-    """Stages shown as lines of a log."""
-    stages = Stages(lines.append, clock)
+def at(lines):
+    """Stages shown as lines of a log; `at(seconds)` shows what is seen so many seconds after the beginning."""
+    now = [100.0]
+    stages = Stages(lines.append, lambda: now[0])
     before = SHOWN.set(stages)
-    yield stages
+
+    def look(seconds):
+        now[0] = 100.0 + seconds
+        stages.look()
+
+    yield look
     SHOWN.reset(before)
 
 
-def at(shown, seconds):
-    """What is seen so many seconds after the beginning."""
-    shown.clock.time = 100.0 + seconds
-    shown.look()
-
-
-def test_quick_work_is_silent(shown, lines):
+def test_quick_work_is_silent(at, lines):
     with stage("searching"):
-        at(shown, 1.9)
-    at(shown, 30.0)  # nothing goes on
+        at(1.9)
+    at(30.0)  # nothing goes on
     assert lines == []
 
 
-def test_stages_in_order(shown, lines):
+def test_stages_in_order(at, lines):
     with stage("loading"):
-        at(shown, 2.0)
-        at(shown, 3.0)  # said already
+        at(2.0)
+        at(3.0)  # said already
     with stage("searching"):
-        at(shown, 3.9)  # too soon after the last line
-        at(shown, 4.0)
+        at(3.9)  # too soon after the last line
+        at(4.0)
         with stage("compiling"):
-            at(shown, 7.0)
-        at(shown, 11.0)
+            at(7.0)
+        at(11.0)
     assert lines == ["2 s: loading\n", "4 s: searching\n", "7 s: searching: compiling\n", "11 s: searching\n"]
 
 
-def test_what_is_counted_has_a_rate_and_an_end(shown, lines):
+def test_what_is_counted_has_a_rate_and_an_end(at, lines):
     """A store holds 400 of 1,000 solves; 200 more take 4 s: 50 a second, and 8 s for the other 400."""
     with stage("solving", 1000, 400) as now:
-        at(shown, 2.0)
+        at(2.0)
         now.done = 600
-        at(shown, 4.0)
+        at(4.0)
     assert lines == ["2 s: solving 401 of 1,000\n", "4 s: solving 601 of 1,000, 50/s, 0:00:08 left\n"]
 
 
-def test_one_after_the_other(shown, lines):
+def test_one_after_the_other(at, lines):
     """Two of five take 10 s, so that the others take 15 s."""
     seen = []
     for name in each("profile", list("abcde")):
         seen.append(name)
-        at(shown, 5.0 * len(seen) - 5.0)
+        at(5.0 * len(seen) - 5.0)
     assert seen == list("abcde")
     assert lines[1] == "10 s: profile 3 of 5, 0:00:15 left\n"
 
 
-def test_lines_come_ever_more_rarely(shown, lines):
+def test_lines_come_ever_more_rarely(at, lines):
     """By a quarter of the time so far: four lines in 8 s, and 27 more in an hour, as 8 s * 1.25^27 is one."""
     with stage("solving", 10_000) as now:
         for now.done in range(3601):
-            at(shown, float(now.done))
+            at(float(now.done))
     assert 28 <= len(lines) <= 32
 
 

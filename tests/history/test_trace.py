@@ -195,7 +195,7 @@ def test_a_pull_alone_is_a_solve():
 
 @functools.cache
 def traced_draws(kinematics):
-    """Compiled: two paths over a body of `bodies.draws`."""
+    """Compiled: two paths over a body of `bodies.draw_from`."""
 
     def traced(draw, path):
         history = cddf.trace(body_of(draw, kinematics), path, throw=False)

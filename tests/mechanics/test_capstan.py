@@ -6,10 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from bodies import (
+    UNIT_CUBE,
     Draw,
     body_of,
     codes,
-    draws,
+    draw_from,
     paper_body,
     paper_plain,
     paper_with,
@@ -46,8 +47,12 @@ def closed_form_of(draw, along):
 solve_draw = {kinematics: solver_for(kinematics) for kinematics in ("published", "exact")}
 
 
-def check_draw(draw, kinematics):
-    """Oracles: SciPy's adaptive quadrature of d / J, and its DOP853 for the shape."""
+@pytest.mark.parametrize("kinematics", ["published", "exact"])
+@given(unit=UNIT_CUBE)
+@settings(max_examples=20)
+def test_random_bodies(kinematics, unit):
+    """Published with converging offsets, exact with a constant one; SciPy's quadrature of d / J, and its DOP853."""
+    draw = draw_from(unit, kinematics)
     plain = plain_of(draw, kinematics)
     solution = solve_draw[kinematics](Draw(*map(jnp.asarray, draw)))
     expected = plain.closed_form(draw.base_tension, draw.length)
@@ -58,18 +63,6 @@ def check_draw(draw, kinematics):
     assert abs(solution.tip_angle) <= np.pi
 
 
-@given(draw=draws("published"))
-@settings(max_examples=20)
-def test_random_bodies_published_with_converging_offsets(draw):
-    check_draw(draw, "published")
-
-
-@given(draw=draws("exact"))
-@settings(max_examples=20)
-def test_random_bodies_exact_with_constant_offset(draw):
-    check_draw(draw, "exact")
-
-
 def test_no_false_alarm():
     """A solve with the accuracy above must not be called inaccurate; 200 bodies, seed 0."""
     result = jax.vmap(solve_draw["exact"])(stack(random_draws("exact", 200, seed=0))).status
@@ -77,12 +70,12 @@ def test_no_false_alarm():
     assert codes(result) == [cddf.Status.successful] * 200
 
 
-@given(draw=draws("published"))
+@given(unit=UNIT_CUBE)
 @settings(max_examples=15)
-def test_closed_form_is_the_formula(draw):
+def test_closed_form_is_the_formula(unit):
     """Against SciPy's adaptive quadrature, along the whole body."""
-    plain = plain_of(draw, "published")
-    along = np.linspace(0, draw.length, 5)
+    draw = draw_from(unit, "published")
+    plain, along = plain_of(draw, "published"), np.linspace(0, draw.length, 5)
     expected = [plain.closed_form(draw.base_tension, s) for s in along]
     ours = closed_form_of(Draw(*map(jnp.asarray, draw)), along)
     np.testing.assert_allclose(ours, expected, rtol=1e-11)  # 32 Gauss nodes on a taper of 0.3
@@ -91,16 +84,12 @@ def test_closed_form_is_the_formula(draw):
 @pytest.mark.parametrize("kinematics", ["published", "exact"])
 def test_printed_tip_tensions(kinematics):
     """docs/theory.md (16) prints them for the paper's body; they are the same in both kinematics."""
+    np.testing.assert_allclose(paper_plain().compliance(0.14), 2.942783188998e4, atol=5e-9, rtol=0)  # G(L), m^-2
     body = paper_body(kinematics)
     closed = [cddf.closed_form_tension(body, tension, 0.14) for tension in BASE_TENSIONS]
     np.testing.assert_allclose(closed, TIP_TENSIONS, atol=PRINTED, rtol=1e-14)
     solved = [cddf.solve(body, tension).tip_tension[0] for tension in BASE_TENSIONS]
     np.testing.assert_allclose(solved, TIP_TENSIONS, rtol=TENSION_ACCURACY)
-
-
-def test_printed_compliance():
-    """docs/theory.md (16): G(L) = 2.942783188998e4 m^-2."""
-    np.testing.assert_allclose(paper_plain().compliance(0.14), 2.942783188998e4, atol=5e-9, rtol=0)
 
 
 @pytest.mark.parametrize(
@@ -115,14 +104,11 @@ def test_printed_tip_poses(kinematics, x, y, angle):
     np.testing.assert_allclose(solution.tension_loss, [0.3984], atol=0.5e-4)  # "39.84 % loss at 75 N"
 
 
-def test_a_tendon_anchored_before_the_tip_keeps_its_tension():
-    body = paper_with(cddf.Tendon(0.01, end=0.1), kinematics="published")
-    ours = cddf.closed_form_tension(body, 75.0, np.array([0.1, 0.12, 0.14]))
-    np.testing.assert_allclose(ours, paper_plain().closed_form(75.0, 0.1), rtol=1e-12)
-    np.testing.assert_allclose(cddf.solve(body, 75.0).tip_tension, ours[:1], rtol=TENSION_ACCURACY)
-
-
-def test_the_exact_kinematics_take_a_linear_offset_that_is_level():
+def test_offsets_and_anchors_that_the_closed_form_takes():
+    """A tendon keeps the tension of its anchor beyond it; a linear offset that is level is constant."""
+    anchored = paper_with(cddf.Tendon(0.01, end=0.1), kinematics="published")
+    found = cddf.closed_form_tension(anchored, 75.0, np.array([0.1, 0.12, 0.14]))
+    np.testing.assert_allclose(found, paper_plain().closed_form(75.0, 0.1), rtol=1e-12)
     level = paper_body("exact", tendon_offset=(0.01, 0.01))
     np.testing.assert_allclose(cddf.closed_form_tension(level, 75.0, 0.14), TIP_TENSIONS[4], rtol=1e-12)
 

@@ -1,5 +1,7 @@
 """Distributed forces: they balance, and the paper's double integral agrees with the local equilibrium."""
 
+from functools import cache
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -14,14 +16,12 @@ CASES = {
     "exact": (paper_body("exact"), 75.0, +1),
     "exact, one out": (two_slanted_tendons("exact"), (75.0, 20.0), (+1, -1)),
 }
-SOLVED = {}
 
 
+@cache
 def solved(case, nodes=16):
     body, tension, direction = CASES[case]
-    if (case, nodes) not in SOLVED:
-        SOLVED[case, nodes] = cddf.solve(body, tension, direction=direction, nodes=nodes, throw=False)
-    return body, SOLVED[case, nodes]
+    return body, cddf.solve(body, tension, direction=direction, nodes=nodes, throw=False)
 
 
 def tangents(body, fields):

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -21,24 +21,12 @@ TIP = 1e-8  # what it promises of the tip tension
 KINEMATICS = ["published", "exact"]
 
 
-class Bow(eqx.Module):
-    """An offset that runs from base to tip and bulges in between; one compiled program for all of these bodies."""
+class Offset(eqx.Module):
+    """An offset, m, from base to tip that bulges in between: of JAX's arrays, and of plain numbers for SciPy."""
 
     base: Any
     tip: Any
-    rise: Any
-
-    def __call__(self, arc_length):
-        x = jnp.asarray(arc_length) / LENGTH
-        return self.base + (self.tip - self.base) * x + 4 * self.rise * x * (1 - x)
-
-
-class Offset(NamedTuple):
-    """The same for SciPy, m."""
-
-    base: float
-    tip: float
-    rise: float = 0.0
+    rise: Any = 0.0
 
     def __call__(self, s):
         x = s / LENGTH
@@ -47,13 +35,10 @@ class Offset(NamedTuple):
     def slope(self, s):
         return (self.tip - self.base + 4 * self.rise * (1 - 2 * s / LENGTH)) / LENGTH
 
-    def bow(self):
-        return Bow(*map(jnp.asarray, self))
-
 
 def manipulator(kinematics, *offsets, friction=0.42, youngs_modulus=1.4e6):
     tendons = tuple(
-        cddf.Tendon(offset.bow() if isinstance(offset, Offset) else offset, side)
+        cddf.Tendon(jax.tree.map(jnp.asarray, offset), side)  # one compiled program for all of these bodies
         for offset, side in zip(offsets, (+1, -1), strict=False)
     )
     numbers = {"friction_coefficient": friction, "youngs_modulus": youngs_modulus}
@@ -177,7 +162,7 @@ SLIDING = (+1, -1)
 def tip_of(kinematics, direction=SLIDING):
     def tip(numbers):
         pulls, mu, E, (b1, t1, b2, t2) = 10 * numbers[:2], numbers[2], numbers[3], 1e-3 * numbers[4:]
-        offsets = Bow(b1, t1, 0.0 * b1), Bow(b2, t2, 0.0 * b2)
+        offsets = Offset(b1, t1), Offset(b2, t2)
         body = manipulator(kinematics, *offsets, friction=mu, youngs_modulus=1e6 * E)
         solution = cddf.solve(body, pulls, direction=direction, throw=False)
         return jnp.concatenate([solution.tip_tension / 10, 10 * solution.tip_position, solution.tip_angle[None]])

@@ -13,7 +13,6 @@ from cddf_jax.numerics.elements import (
     gains_of_length,
     gains_of_magnitude,
     sums,
-    totals,
 )
 
 CUT = Elements.between(jnp.array([0.0, 0.3, 0.3, 1.0]), 6)  # the one in the middle is empty
@@ -38,31 +37,15 @@ def integrals(function, *kinks):
     return [quad(function, 0.0, end, points=[x for x in kinks if x < end] or None, **options)[0] for end in ends]
 
 
-@pytest.mark.parametrize("root", [0.0003, 0.123, float(ONE.nodes[0, 3])])
-def test_the_magnitude_of_a_rate_with_one_root(root):
-    """Of sin(7 (x - root)), between nodes, at a node, and near the ends."""
+# between nodes, at a node, near an end, two roots, and none
+CHANGING = [(lambda x, root=root: np.sin(7 * (x - root)), (root,), 2e-10) for root in (0.0003, 0.123, ONE.nodes[0, 3])]
+CHANGING += [(lambda x: (x - 0.05) * (x - 0.13) * np.exp(x), (0.05, 0.13), 1e-9), (lambda x: -np.cos(x), (), 1e-14)]
 
-    def rate(x):
-        return np.sin(7 * (x - root))
 
+@pytest.mark.parametrize(("rate", "roots", "atol"), CHANGING)
+def test_the_magnitude_of_a_rate_that_changes_its_sign(rate, roots, atol):
     nodes, end = sums(ONE.width[0], gains_of_magnitude(rate(ONE.nodes[0])))
-    assert_allclose([*nodes, end], integrals(lambda x: abs(rate(x)), root), atol=2e-10)
-
-
-def test_the_magnitude_of_a_rate_with_two_roots():
-    def rate(x):
-        return (x - 0.05) * (x - 0.13) * np.exp(x)
-
-    nodes, end = sums(ONE.width[0], gains_of_magnitude(rate(ONE.nodes[0])))
-    assert_allclose([*nodes, end], integrals(lambda x: abs(rate(x)), 0.05, 0.13), atol=1e-9)
-
-
-def test_the_magnitude_of_a_rate_of_one_sign_is_the_integral():
-    rates = jnp.stack([jnp.exp(ONE.nodes[0]), -jnp.cos(ONE.nodes[0])], axis=-1)
-    for found, expected in zip(
-        sums(ONE.width[0], gains_of_magnitude(rates)), totals(ONE.width[0], jnp.abs(rates)), strict=True
-    ):
-        assert_allclose(found, expected, rtol=1e-14)
+    assert_allclose([*nodes, end], integrals(lambda x: abs(rate(x)), *roots), rtol=0, atol=atol)
 
 
 def test_derivatives_of_the_magnitude_by_the_root():

@@ -66,11 +66,9 @@ def test_a_straight_column_is_stable_up_to_its_critical_load(column, fraction):
     np.testing.assert_array_equal(solution.curvature, 0.0)
     np.testing.assert_allclose(solution.tip_position, [0.2, 0.0], atol=1e-12)
     assert solution.load_fraction == 1.0
-
-
-def test_a_buckled_column_is_raised_and_keeps_its_numbers():
-    with pytest.raises(cddf.SolveError, match="The equilibrium is unstable"):
-        cddf.solve(rod(), 0.0, cddf.Loads(tip_force=(-1.1 * EULER, 0.0)))
+    if fraction == 1.001:
+        with pytest.raises(cddf.SolveError, match="The equilibrium is unstable"):
+            cddf.solve(rod(), 0.0, cddf.Loads(*loads))
 
 
 @pytest.mark.slow
@@ -104,7 +102,12 @@ HARD = {
     "against the tendon": (60.0, 4.0, 240.0, 3, -180.0),
     "curled past 170 degrees": (60.0, 8.0, 180.0 + 20.0, 4, 165.0),
     "turned over, steeply": (30.0, 4.0, 205.0, 5, -180.0),
+    # near a buckling load an unstable branch runs close to the path; a long step may land on it
+    "aside from the unstable branch": (10.0, 6.0, 185.0, 1, -180.0),
 }
+
+
+CHANGING_SIGN = [case for case in HARD if not case.startswith("aside")]
 
 
 @pytest.mark.parametrize("case", HARD)
@@ -116,16 +119,17 @@ def test_the_end_of_the_path(case):
     assert solution.status == cddf.Status.successful
     assert solution.num_load_steps >= steps
     assert np.degrees(float(solution.tip_angle)) > angle
-    # some change the sign of their curvature, where `solve` promises 1e-7 of the length
     difference = largest_difference(solution, loaded_reference(plain, tension, loads), plain)
-    assert difference < max(AGREES, float(solution.error_estimate))
-    assert difference < 1e-7
+    if case in CHANGING_SIGN:  # of their curvature, where `solve` promises 1e-7 of the length
+        assert difference < min(1e-7, max(AGREES, float(solution.error_estimate)))
+    else:
+        assert difference < AGREES
 
 
 # --- where the path ends -------------------------------------------------------------------------
 
-# bent up by the tendon and pressed down and back, the body snaps through
-SNAPPING = {"60 N": (60.0, pressed(4.0, 213.5))}
+# tension (N), force in E J / L^2, its angle: bent up by the tendon and pressed down and back, the body snaps through
+SNAPPING = {"60 N": (60.0, 4.0, 213.5), "45 N": (45.0, 4.0, 206.0)}
 
 
 def limit(plain, tension, loads):
@@ -140,7 +144,8 @@ def limit(plain, tension, loads):
 @pytest.mark.parametrize("case", SNAPPING)
 def test_a_body_that_snaps(case):
     """The path ends in a fold; near it the moment goes like the root of what is left, so that 3e-3 is close."""
-    tension, loads = SNAPPING[case]
+    tension, times, degrees = SNAPPING[case]
+    loads = pressed(times, degrees)
     fold = limit(paper_plain("exact"), tension, loads)
     solution = solved(loads, tension)
     assert solution.status == cddf.Status.load_limit
@@ -155,26 +160,3 @@ def test_a_body_that_snaps(case):
     assert below.status == cddf.Status.successful
     assert below.stable
     assert solved(loads.times(1.01 * fold), tension).status == cddf.Status.load_limit
-
-
-JUMPS = {
-    # tension (N), force in E J / L^2, its angle: the path turns aside from the unstable branch, or ends
-    "10 N": (10.0, 6.0, 185.0),
-    "45 N, a fold": (45.0, 4.0, 206.0),
-}
-
-
-@pytest.mark.parametrize("case", JUMPS)
-def test_a_step_does_not_leap_to_another_branch(case):
-    """Near a buckling load an unstable branch runs close to the path; a long step may land on it."""
-    tension, times, degrees = JUMPS[case]
-    loads, plain = pressed(times, degrees), paper_plain("exact")
-    solution = solved(loads, tension)
-    try:
-        reference = loaded_reference(plain, tension, loads)
-    except NotFoundError:
-        assert solution.status == cddf.Status.load_limit
-        np.testing.assert_allclose(solution.load_fraction, limit(plain, tension, loads), atol=3e-3)
-        return
-    assert solution.status == cddf.Status.successful
-    assert largest_difference(solution, reference, plain) < AGREES

@@ -1,6 +1,5 @@
 """Dead loads on the tip and gravity, against SciPy (loaded_bodies.py), textbooks, and by symmetry and scaling."""
 
-import re
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -180,11 +179,6 @@ def opposed(**changes):
     return paper_body("exact", density=1070.0, **changes)
 
 
-@lru_cache
-def opposed_reference():
-    return loaded_reference(paper_plain("exact"), 60.0, OPPOSING, 1070.0)
-
-
 def test_a_load_may_push_a_tendon_back_further_than_its_tension_draws_it_in():
     """That contradicts no direction."""
     solution = cddf.solve(opposed(), 5.0, cddf.Loads(*OPPOSING))
@@ -199,7 +193,8 @@ def test_single_precision():
     solution = cddf.solve(body, jnp.float32(60.0), loads)
     assert solution.status == cddf.Status.successful
     assert {x.dtype for x in jax.tree.leaves(solution) if jnp.issubdtype(x.dtype, jnp.floating)} == {np.dtype("f4")}
-    assert largest_difference(solution, opposed_reference(), paper_plain("exact")) < 1e-4
+    plain = paper_plain("exact")
+    assert largest_difference(solution, loaded_reference(plain, 60.0, OPPOSING, 1070.0), plain) < 1e-4
 
 
 # --- derivatives ---------------------------------------------------------------------------------
@@ -329,10 +324,10 @@ def test_loads_of_the_wrong_shape():
     assert "gravity must have two or three components" in refused(cddf.Loads, gravity=(0.0,), error=ValueError)
 
 
-@pytest.mark.parametrize("loads", [5, (0.0, -1.0), {"tip_force": (0.0, -1.0)}, cddf.Loads], ids=repr)
+@pytest.mark.parametrize("loads", [5, (0.0, -1.0), cddf.Loads], ids=repr)
 def test_loads_of_the_wrong_type(loads):
     message = refused(cddf.solve, opposed(), 60.0, loads, error=TypeError)
-    assert re.match(r"solve: loads must be a Loads, as in Loads\(tip_force=\(0.0, -1.0\)\), got ", message)
+    assert message.startswith("solve: loads must be a Loads, as in Loads(tip_force=(0.0, -1.0)), got ")
 
 
 def test_batched_loads_want_vmap():

@@ -1,5 +1,7 @@
 """Both kinematics against SciPy's integrators, which share no line with the library (see bodies.py)."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from bodies import (
@@ -25,21 +27,14 @@ ALONG = 1e-6  # rad and per length: between the nodes the interpolant has degree
 PAIR = (+1, -1)
 
 
-def pair(kinematics, first, second, end=None):
+def compare_pair(kinematics, first, second, base_tension, direction, end=None):
     """Antagonists by their offsets at base and tip; `end` of the first. One structure for slanted and parallel ones."""
-    one = cddf.Tendon(cddf.Linear(*first, length=LENGTH), end=end)
-    return paper_with(one, cddf.Tendon(cddf.Linear(*second, length=LENGTH), -1), kinematics=kinematics)
-
-
-def pair_plain(kinematics, first, second, end=None):
+    one, other = (cddf.Tendon(cddf.Linear(*ends, LENGTH), side) for ends, side in ((first, +1), (second, -1)))
     offsets = [straight(*ends, length=LENGTH) for ends in (first, second)]
     slopes = [constant((tip - base) / LENGTH) for base, tip in (first, second)]
-    return paper_plain(kinematics, PAIR, offsets=offsets, slopes=slopes, ends=(LENGTH if end is None else end, LENGTH))
-
-
-def compare_pair(kinematics, first, second, base_tension, direction, end=None):
-    plain = pair_plain(kinematics, first, second, end)
-    compare(pair(kinematics, first, second, end), plain, base_tension, direction)
+    ends = (LENGTH if end is None else end, LENGTH)
+    plain = paper_plain(kinematics, PAIR, offsets=offsets, slopes=slopes, ends=ends)
+    compare(paper_with(replace(one, end=end), other, kinematics=kinematics), plain, base_tension, direction)
 
 
 PARALLEL, SLANTED = (0.010, 0.010), (0.012, 0.009)
@@ -65,9 +60,8 @@ def test_one_tendon(kinematics, direction):
     compare(paper_body(kinematics), paper_plain(kinematics), 30.0, direction)
 
 
-@pytest.mark.parametrize("direction", [(+1, +1), (-1, +1)], ids=str)
-def test_two_tendons(direction):
-    tension = (75.0, 20.0) if direction[0] > 0 else (30.0, 40.0)
+@pytest.mark.parametrize(("direction", "tension"), [((+1, +1), (75.0, 20.0)), ((-1, +1), (30.0, 40.0))], ids=str)
+def test_two_tendons(direction, tension):
     compare_pair("exact", PARALLEL, PARALLEL, tension, direction)
 
 
@@ -109,9 +103,9 @@ def test_one_slanted_tendon(kinematics, direction, base, tip):
 
 
 @one_kinematics_at_once
-@pytest.mark.parametrize("direction", [(+1, -1), (-1, +1)], ids=str)
-def test_two_slanted_tendons(kinematics, direction):
-    compare_pair(kinematics, SLANTED, SLANTED, (75.0, 20.0) if direction[0] > 0 else (30.0, 60.0), direction)
+@pytest.mark.parametrize(("direction", "tension"), [((+1, -1), (75.0, 20.0)), ((-1, +1), (30.0, 60.0))], ids=str)
+def test_two_slanted_tendons(kinematics, direction, tension):
+    compare_pair(kinematics, SLANTED, SLANTED, tension, direction)
 
 
 SPLINE_KNOTS = np.array([0.0, 0.03, 0.06, 0.10, 0.14])

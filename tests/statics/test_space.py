@@ -25,31 +25,24 @@ def helix(turns):
     return at_angle(cddf.Linear(0.0, 2 * np.pi * turns, LENGTH))
 
 
-# name: body, base tension, loads, tip tension (N), tip position (mm); from two independent derivations and codes
-CASES = {
-    "quarter of a turn": (paper_with(helix(0.25)), 75.0, None, [47.41876687], (118.67079545, 47.51777947, 32.74408991)),
-    "half a turn": (paper_with(helix(0.5)), 75.0, None, [54.52936051], (122.12680351, 17.21060405, 47.09759111)),
-    "one turn": (paper_with(helix(1.0)), 75.0, None, [42.13217899], (137.46753785, -5.67019229, 12.15926669)),
+# number of turns: tip tension (N), tip position (mm) at 75 N; from two independent derivations and codes
+HELICES = {
+    0.25: (47.41876687, (118.67079545, 47.51777947, 32.74408991)),
+    0.5: (54.52936051, (122.12680351, 17.21060405, 47.09759111)),
+    1.0: (42.13217899, (137.46753785, -5.67019229, 12.15926669)),
 }
 
 
-@pytest.mark.parametrize("name", CASES)
-def test_numbers_of_two_independent_codes(name):
-    body, base_tension, loads, tip_tension, tip_mm = CASES[name]
-    found = cddf.solve(body, base_tension, loads)
-    np.testing.assert_allclose(found.tip_tension, tip_tension, rtol=5e-9)
-    sharp = name == "half a turn"  # the turning of its tendon has a sharp minimum, where 1e-7 of the length is promised
+@pytest.mark.parametrize("turns", HELICES)
+def test_numbers_of_two_independent_codes(turns):
+    tip_tension, tip_mm = HELICES[turns]
+    found = cddf.solve(paper_with(helix(turns)), 75.0)
+    np.testing.assert_allclose(found.tip_tension, [tip_tension], rtol=5e-9)
+    sharp = turns == 0.5  # the turning of its tendon has a sharp minimum, where 1e-7 of the length is promised
     np.testing.assert_allclose(1e3 * found.tip_position, tip_mm, atol=1.4e-5 if sharp else 2e-7)
     assert found.error_estimate < (1e-6 if sharp else 1e-8)
     frame = np.asarray(found.tip_frame)
     np.testing.assert_allclose(frame.T @ frame, np.eye(3), atol=1e-12)
-
-
-@pytest.mark.slow
-def test_a_tendon_that_converges_bends_as_in_the_plane():
-    found = cddf.solve(paper_with(at_angle(0.0, cddf.Linear(0.010, 0.005, LENGTH))), 75.0)
-    np.testing.assert_allclose(found.tip_tension, 51.784572, rtol=1e-8)  # of the planar model
-    np.testing.assert_allclose(np.degrees(found.tip_angle), 50.532713, atol=5e-7)
 
 
 def test_a_rigid_helix_has_a_closed_form():
@@ -73,22 +66,17 @@ ROD: dict[str, Any] = {  # of a published code for rods with tendons without fri
 
 
 @pytest.mark.slow
-def test_published_rod_with_a_helical_tendon_stretch_and_shear():
-    body = cddf.Manipulator(
-        tendons=(cddf.Tendon(0.01506, angle=cddf.Linear(0.0, 2 * np.pi, 0.5)),), extensible=True, **ROD
-    )
-    found = cddf.solve(body, 15.0)
-    # there z is along the rod, x and y across: its (x, y, z) are our (y, z, x)
-    np.testing.assert_allclose(1e3 * found.tip_position, (493.268789, 0.073404, 58.159618), atol=2e-6)
-    pulled = cddf.solve(body, 15.0, cddf.Loads(gravity=(0.0, 9.81, 0.0)))
-    np.testing.assert_allclose(1e3 * pulled.tip_position, (493.3483, 12.2099, 58.1888), atol=2e-3)
-
-
-@pytest.mark.slow
-def test_published_rod_with_a_straight_tendon_under_gravity():
-    body = cddf.Manipulator(tendons=(cddf.Tendon(0.01506, angle=0.0),), **ROD)
-    found = cddf.solve(body, 15.0, cddf.Loads(gravity=(0.0, 9.81, 0.0)))
-    np.testing.assert_allclose(1e3 * found.tip_position, (453.239992, 182.216166, 0.0), atol=2e-6)
+def test_rods_of_a_published_code():
+    """Its z is along the rod, x and y across: its (x, y, z) are our (y, z, x). With stretch and shear, and without."""
+    gravity = cddf.Loads(gravity=(0.0, 9.81, 0.0))
+    winding = cddf.Manipulator(tendons=[at_angle(cddf.Linear(0.0, 2 * np.pi, 0.5), 0.01506)], extensible=True, **ROD)
+    straight = cddf.Manipulator(tendons=[at_angle(0.0, 0.01506)], **ROD)
+    for body, loads, place, atol in (
+        (winding, None, (493.268789, 0.073404, 58.159618), 2e-6),
+        (winding, gravity, (493.3483, 12.2099, 58.1888), 2e-3),
+        (straight, gravity, (453.239992, 182.216166, 0.0), 2e-6),
+    ):
+        np.testing.assert_allclose(1e3 * cddf.solve(body, 15.0, loads).tip_position, place, atol=atol)
 
 
 def test_a_body_of_the_plane_in_space():
@@ -174,26 +162,26 @@ def test_a_sharp_minimum_of_the_turning_is_integrated(force):
     np.testing.assert_allclose(found.tip_position, fine.tip_position, atol=1e-7 * LENGTH)
 
 
+CONVERGING = cddf.Tendon(cddf.Linear(0.010, 0.005, LENGTH))
+BEARING = {
+    # a bend by about a turn, and a small load; a kink of the turning, where the curvature changes its sign
+    "about a turn": (paper_body("exact"), 900.0, (0.0, 1e-6)),
+    "kink": (paper_body("exact"), 40.0, (0.0, -10.0)),
+    "converging": (paper_with(CONVERGING), 75.0, None),
+}
+
+
 @pytest.mark.slow
-def test_the_kink_of_a_body_of_the_plane_in_space():
-    """Where the curvature changes its sign the turning has a kink; the planar core has references of its own."""
-    body, loads = paper_body("exact"), cddf.Loads(tip_force=(0.0, -10.0))
-    plane, space = (cddf.solve(body, 40.0, loads, space=space) for space in (False, True))
-    assert np.min(plane.curvature) < 0 < np.max(plane.curvature)
-    np.testing.assert_allclose(space.tip_tension, plane.tip_tension, rtol=1e-7)
+@pytest.mark.parametrize("case", BEARING)
+def test_bodies_of_the_plane_whose_references_are_there(case):
+    body, tension, force = BEARING[case]
+    loads = None if force is None else cddf.Loads(tip_force=force)
+    plane, space = (cddf.solve(body, tension, loads, space=space) for space in (False, True))
+    assert space.stable
+    np.testing.assert_allclose(space.tip_tension, plane.tip_tension, rtol=1e-7 if loads else 1e-8)
     np.testing.assert_allclose(space.tip_position, [*plane.tip_position, 0.0], atol=1e-7 * LENGTH)
-
-
-@pytest.mark.slow
-def test_a_body_bent_by_about_a_turn_bears_a_small_load():
-    """The same as in the plane, where it bends by 5.2 rad."""
-    body, loads = paper_with(cddf.Tendon(0.010)), cddf.Loads(tip_force=(0.0, 1e-6))
-    plane, found = (cddf.solve(body, 900.0, loads, space=in_space) for in_space in (False, True))
-    assert found.stable
-    np.testing.assert_allclose(found.tip_position, [*plane.tip_position, 0.0], atol=1e-7 * LENGTH)
     axis = np.cos(plane.tip_angle), -np.sin(plane.tip_angle)
-    np.testing.assert_allclose(np.asarray(found.tip_frame)[0, :2], axis, atol=1e-6)
-    np.testing.assert_allclose(found.tip_tension, plane.tip_tension, rtol=1e-7)
+    np.testing.assert_allclose(np.asarray(space.tip_frame)[0, :2], axis, atol=1e-6 if loads else 5e-9)
 
 
 @pytest.mark.slow
@@ -260,10 +248,6 @@ def test_targets_in_space():
     np.testing.assert_allclose(found.base_tension, given.base_tension, rtol=1e-7)
     bent = cddf.solve(paper_with(at_angle(0.7)), cddf.TipAngle(0.5))
     np.testing.assert_allclose(bent.tip_angle, 0.5, atol=1e-9)
-
-
-@pytest.mark.slow
-def test_curvature_as_a_target():
     bent = cddf.solve(paper_with(helix(0.25)), cddf.CurvatureAt(6.0, 0.05))
     np.testing.assert_allclose(np.linalg.norm(bent.at(0.05).curvature[1:]), 6.0, rtol=1e-9)
 
@@ -281,10 +265,9 @@ def test_the_compliance_of_the_tip_is_6_by_6_and_symmetric_without_friction():
 
 
 def test_a_body_and_its_equilibrium_in_words():
-    """The words have the numbers of the case of a quarter of a turn."""
-    body, pull, *_, tip = CASES["quarter of a turn"]
+    body, (_, tip) = paper_with(helix(0.25)), HELICES[0.25]
     assert "angle 0 deg at the base, 90 deg at s = 140 mm" in str(body)
-    said = str(cddf.solve(body, pull))
+    said = str(cddf.solve(body, 75.0))
     assert f"tip at ({tip[0]:.3f}, {tip[1]:.3f}, {tip[2]:.3f}) mm" in said
     assert "from the axis of the base" in said
 
