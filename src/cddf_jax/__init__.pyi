@@ -36,7 +36,7 @@ from .identification.model_free import (
     model_free_friction as model_free_friction,
 )
 from .identification.parameters import BenchSetting as BenchSetting
-from .measurements.holds import SerialCorrelation as SerialCorrelation, average_holds as average_holds
+from .measurements.holds import average_holds as average_holds
 from .measurements.markers import Marker as Marker
 from .measurements.table import Measurements as Measurements, read_measurements as read_measurements
 from .measurements.trials import read_tables as read_tables

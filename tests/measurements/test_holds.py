@@ -1,4 +1,4 @@
-"""Holds and repeats are distinguished; how many independent readings the samples of a hold are, by closed forms."""
+"""Holds and repeats are distinguished; readings of a hold that are alike are noticed."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from bodies import paper_body
 from scipy import stats
 
 import cddf_jax as cddf
-from cddf_jax.measurements.holds import average_holds, hold_labels, serial_correlation
+from cddf_jax.measurements.holds import average_holds, correlation_of_rows, hold_labels
 from cddf_jax.measurements.table import Measurements
 from cddf_jax.reports import fit_report as report
 
@@ -20,12 +20,6 @@ def autoregressive(shape, lag_one, rng):
     for k in range(1, shape[-1]):
         noise[..., k] = lag_one * noise[..., k - 1] + np.sqrt(1 - lag_one**2) * draws[..., k]
     return noise
-
-
-def scatter_of_means(lag_one, count):
-    """Of the mean of so many over that of independent ones: 1 + 2 sum (1 - k / n) r^k."""
-    k = np.arange(1, count)
-    return 1 + 2 * np.sum((1 - k / count) * lag_one**k)
 
 
 # --- what is a hold ------------------------------------------------------------------------------
@@ -70,35 +64,19 @@ def test_a_hold_ends_with_its_trial_and_where_another_column_changes():
 
 
 @pytest.mark.parametrize("lag_one", [0.5, 0.9, 0.98])
-def test_correlated_rows_count_less(lag_one):
-    """2,000 holds of 50: lag one and the scatter of means in closed form, to four standard errors."""
+def test_correlation_from_row_to_row(lag_one):
+    """2,000 holds of 50, to four standard errors."""
     residual = autoregressive((2000, 50), lag_one, np.random.default_rng(2))
-    found = serial_correlation(residual.ravel(), np.repeat(np.arange(2000), 50))
-    assert found.alarming
-    assert found.lag_one == pytest.approx(lag_one, abs=4 * np.sqrt((1 - lag_one**2) / 1e5) + 1e-3)
-    expected = 100_000 / scatter_of_means(lag_one, 50)
-    # a mean square of so many normal numbers scatters by sqrt(2 / n), above and below
-    assert found.num_effective == pytest.approx(expected, rel=4 * np.sqrt(2 / 2000 + 2 / expected))
+    found = correlation_of_rows(residual.ravel(), np.repeat(np.arange(2000), 50))
+    assert found == pytest.approx(lag_one, abs=4 * np.sqrt((1 - lag_one**2) / 1e5) + 1e-3)
 
 
 def test_independent_rows_hardly_ever_alarm():
-    """One experiment in a thousand; of 500, more than 5 less than one time in 10,000."""
+    """One experiment in a thousand; of 500, more than 5 less than one time in 10,000. Without holds there is none."""
     rng, holds = np.random.default_rng(3), np.repeat(np.arange(8), 50)
-    alarms = sum(serial_correlation(rng.normal(size=400), holds).alarming for _ in range(500))
+    alarms = sum(correlation_of_rows(rng.normal(size=400), holds) > 0 for _ in range(500))
     assert alarms <= stats.binom.ppf(0.9999, 500, 1e-3)
-
-
-def test_rows_that_are_the_same_count_once():
-    """Eight holds whose rows all read the same, after a fit of two parameters: eight readings."""
-    residual = np.repeat(np.random.default_rng(4).normal(size=8), 50)
-    found = serial_correlation(residual, np.repeat(np.arange(8), 50), num_parameters=2.0)
-    assert found.num_effective == pytest.approx(8, rel=1e-9)
-
-
-def test_without_holds_nothing_is_reported():
-    found = serial_correlation(np.random.default_rng(5).normal(size=20), np.arange(20))
-    assert (found.num_effective, found.alarming) == (20, False)
-    assert np.isnan(found.lag_one)
+    assert correlation_of_rows(np.ones(20), np.arange(20)) == 0
 
 
 # --- one reading a hold --------------------------------------------------------------------------
@@ -129,14 +107,9 @@ def test_a_fit_reports_holds():
     pull = weight * np.exp(0.42 * np.pi) + noise  # eq. (5)
     table = Measurements.from_columns("drum", weight=weight, wrap_angle=np.full(150, np.pi), pulling_tension=pull)
     fits = [cddf.fit(paper_body(), t, free=("friction_coefficient",)) for t in (table, average_holds(table))]
-    found = [fit.serial_correlation["drum: pulling_tension"] for fit in fits]
-    assert [one.num_holds for one in found] == [5, 5]
-    assert [one.alarming for one in found] == [True, False]
     heads = [report.fit_as_markdown(fit, {}).partition("| parameter")[0] for fit in fits]
-    told = f"150 in 5 holds count as about {found[0].num_effective:.0f} independent ones: standard errors are too small"
+    told = "150 in 5 holds are not as many independent ones: standard errors are too small"
     assert [told in head for head in heads] == [True, False]
-    results = report.fit_as_dict(fits[0], {})["serial_correlation"]["drum: pulling_tension"]
-    assert results.num_effective == found[0].num_effective
     # of equal holds the weighted means are the same to first order, and the standard error is that of five readings
     assert fits[1].value["friction_coefficient"] == pytest.approx(fits[0].value["friction_coefficient"], rel=1e-3)
     assert fits[1].degrees_of_freedom == 4

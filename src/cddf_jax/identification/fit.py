@@ -16,7 +16,6 @@ from ..estimation.observations import Noise
 from ..estimation.parameter_space import Bounds, Priors
 from ..estimation.whole_search import INTERRUPTED
 from ..measurements.forces import ON_TIP
-from ..measurements.holds import SerialCorrelation, holds_of, serial_correlation
 from ..measurements.jitter import Steady
 from ..measurements.left_out import CONTRADICTED, LeaveOut, LeftOut, named_rows, rows_in_words, without
 from ..measurements.loop_sense import runs_backwards
@@ -59,6 +58,7 @@ from .verdict import (
     doubt,
     drift_of,
     estimates_in_words,
+    held_in_words,
     neighbours,
     neighbours_in_words,
     so_far_in_words,
@@ -207,27 +207,14 @@ class Fit(LeastSquaresFit):
     @property
     def remarks(self) -> tuple[str, ...]:
         """The remarks of any fit; samples of a hold that are not independent; readings with a history that drift."""
-        alike = (f"{label}: {one.remark}" for label, one in self.serial_correlation.items() if one.remark)
+        alike = (held_in_words(self.standardised_residuals, group) for group in self.groups)
         drifts = (drift_of(self, group) for group in self.groups if self.success)
         wider = neighbours_in_words(self.neighbours) if self.success and self.neighbours else ""
-        return (*super().remarks, *alike, *filter(None, (*drifts, wider)))
+        return (*super().remarks, *filter(None, (*alike, *drifts, wider)))
 
     def band(self, sensitivity: np.ndarray) -> np.ndarray:
         """As of any fit, wider where neighbouring rows are alike."""
         return self.widened.uncertainty(sensitivity).half_width
-
-    @property
-    def serial_correlation(self) -> dict[str, SerialCorrelation]:
-        """By group of data, the correlation of residuals within holds, which are consecutive rows at one level."""
-        spectrum, residual, rows = self.evidence.spectrum, self.standardised_residuals, self.evidence.rows
-        taken = {label: float(np.sum(spectrum.leverage(own))) for label, own in rows.items()}
-        found = {}
-        for g in self.groups:
-            in_order = g.table.order[g.there[g.table.order]]
-            own = (np.cumsum(g.there) - 1)[in_order]
-            labels = holds_of(g.table)[in_order]
-            found[g.label] = serial_correlation(residual[g.label][own], labels, taken[g.label])
-        return found
 
     @cached_property
     def moved_by_steps(self) -> dict[str, float]:

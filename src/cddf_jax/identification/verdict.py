@@ -10,7 +10,7 @@ from ..estimation.determination import IDENTIFIED, NOT_IDENTIFIED, Determination
 from ..estimation.least_squares import LeastSquaresFit
 from ..estimation.remarks import EXACT, chance_of_more
 from ..measurements.columns import is_reading
-from ..measurements.holds import ALARM, LEAST_PAIRS
+from ..measurements.holds import correlation_of_rows, holds_of
 from ..measurements.jitter import Steady
 from ..measurements.left_out import CONTRADICTED, as_leave_out, named_rows, rows_in_words, sources
 from ..measurements.readings import kind_of_set, of_shape, set_by, tendon_number
@@ -31,7 +31,6 @@ LARGEST_FRICTION = 2.0  # a larger coefficient gives a warning
 CHANCE = 1e-3  # p-value below which residuals drift, or differ from trial to trial
 LARGEST_MOVE = 0.5  # standard errors; a larger error by increments gives a warning
 MOST_ALIKE = 0.999  # a correlation of neighbours that is counted; at 1 nothing would be known
-LEAST_RESIDUAL = 0.1  # over the noise; smaller residuals that are alike make no error too small
 AGAINST = "tendons travel against the direction that was found for them"
 MOST = 0.5  # of a table's rows; with more rows without a solution the fit fails
 NEWTONS = {"youngs_modulus", "stiffness_factor", "outside_compliance", "tendon_stretch"}  # displacements tell no forces
@@ -219,23 +218,35 @@ def drift_of(fit: LeastSquaresFit, group: Group) -> str:
 def neighbours(residuals: Mapping[str, np.ndarray], groups: Sequence[Group]) -> tuple[float, list[str]]:
     """How far standardised residuals of neighbouring rows of histories are correlated, and the groups of these rows.
 
-    0 where independent readings could be as correlated by chance, and where residuals are far below the noise.
+    0 as in `correlation_of_rows`.
     """
-    pairs, labels = [], []
-    for group in groups:
+    found, labels, trials = [np.zeros(0)], [np.zeros(0, int)], 0
+    every = [group for group in groups if group.experiment.in_order]
+    for group in every:
         course = group.experiment.course
-        if course is not None and not course.each_from_rest:
-            labels.append(group.label)
-            residual, trial = residuals[group.label], np.asarray(course.trial)[group.there]
-            order = np.lexsort((np.asarray(course.step)[group.there], trial))
-            residual, trial = residual[order], trial[order]
-            same = trial[1:] == trial[:-1]
-            pairs.append(np.stack([residual[1:], residual[:-1]])[:, same])
-    one, other = np.concatenate([np.zeros((2, 0)), *pairs], axis=1)
-    size = float(np.sum(one**2 + other**2) / 2)
-    correlation = float(one @ other) / size if size > 0 else 0.0
-    clear = one.size >= LEAST_PAIRS and correlation > ALARM / np.sqrt(one.size) and size >= LEAST_RESIDUAL**2 * one.size
-    return (min(correlation, MOST_ALIKE) if clear else 0.0), labels
+        assert course is not None
+        trial, step = (np.asarray(own)[group.there] for own in (course.trial, course.step))
+        order = np.lexsort((step, trial))
+        found.append(residuals[group.label][order])
+        labels.append(trials + trial[order])
+        trials += 1 + int(np.max(trial, initial=0))
+    correlation = correlation_of_rows(np.concatenate(found), np.concatenate(labels))
+    return min(correlation, MOST_ALIKE), [group.label for group in every]
+
+
+def held_in_words(residuals: Mapping[str, np.ndarray], group: Group) -> str:
+    """That standardised residuals within the holds of a group are correlated, and what helps; "" where they are not."""
+    table = group.table
+    order = table.order[group.there[table.order]]
+    holds = holds_of(table)[order]
+    correlation = correlation_of_rows(residuals[group.label][(np.cumsum(group.there) - 1)[order]], holds)
+    if not correlation:
+        return ""
+    return (
+        f"{group.label}: readings of one hold are alike (correlation {correlation:.2f} of residuals from row to row), "
+        f"and {holds.size} in {np.unique(holds).size} holds are not as many independent ones: standard errors are too "
+        "small; fit one reading for each hold (average_holds, --average-holds)"
+    )
 
 
 def variance_of_neighbours(correlation: float) -> float:

@@ -6,7 +6,6 @@ trial, is a repeat. Samples of one hold have slow drifts in common; repeats do n
 
 from dataclasses import replace
 from statistics import NormalDist
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,27 +25,7 @@ LEAST_IN_HOLD, LEAST_HOLDS = 4, 8  # rows in a hold, and such holds, that can sh
 ONE_WAY = 0.6  # share of holds whose readings change as the levels do, less the share of opposite ones, of a ramp
 ALARM = NormalDist().inv_cdf(1 - 1e-3)  # standard deviations of a correlation of independent readings
 LEAST_PAIRS = 10
-
-
-class SerialCorrelation(NamedTuple):
-    """The correlation of the residuals within holds."""
-
-    num_readings: int
-    num_holds: int
-    lag_one: float  # correlation of a residual with the one before it in its hold; NaN where no hold has two
-    num_effective: float  # number of independent readings that would give equally certain means
-    alarming: bool  # whether independent readings would almost never be so strongly correlated
-
-    @property
-    def remark(self) -> str:
-        """What is wrong and what helps; "" if nothing is wrong."""
-        if not self.alarming:
-            return ""
-        return (
-            f"readings of one hold are alike (correlation {self.lag_one:.2f} of residuals from row to row), and "
-            f"{self.num_readings} in {self.num_holds} holds count as about {self.num_effective:.0f} independent ones: "
-            "standard errors are too small; fit one reading for each hold (average_holds, --average-holds)"
-        )
+LEAST_RESIDUAL = 0.1  # over the noise; smaller residuals that are alike make no error too small
 
 
 def hold_labels(levels: ArrayLike, trial: ArrayLike) -> np.ndarray:
@@ -104,32 +83,21 @@ def is_ramp(level: np.ndarray, holds: np.ndarray) -> bool:
     return alike.size >= LEAST_HOLDS and bool(np.mean(alike) > ONE_WAY)
 
 
-def serial_correlation(residual: ArrayLike, labels: ArrayLike, num_parameters: float = 0.0) -> SerialCorrelation:
-    """The correlation of residuals within holds, and the number of independent readings that they are worth.
+def correlation_of_rows(residual: np.ndarray, labels: np.ndarray) -> float:
+    """The correlation of residuals from row to row, among rows with the same label.
 
-    The effective number is n divided by a ratio: the scatter of the hold means, sum n_h mean_h^2 / (holds -
-    parameters), over the mean square of all residuals. The ratio sums the correlations of all lags. The effective
-    number lies between the number of holds and the number of readings.
+    It is 0 where independent readings could be as correlated by chance, and where residuals are far below the noise.
 
     Args:
-        residual: (rows,), over their noise.
-        labels: (rows,), the hold of each; rows of one hold are consecutive.
-        num_parameters: degrees of freedom of these readings that the fit used.
+        residual: (rows,), over their noise, in the order of measurement.
+        labels: (rows,), the hold or the trial of each.
     """
-    residual, labels = np.asarray(residual, float), np.asarray(labels)
-    hold, size = np.unique(labels, return_inverse=True, return_counts=True)[1:]
-    pairs = labels[1:] == labels[:-1]
-    square = float(np.mean(residual**2)) if residual.size else 0.0
-    count, holds = residual.size, size.size
-    if not np.any(pairs) or not square > 0 or not np.isfinite(square):
-        return SerialCorrelation(count, holds, float("nan"), float(count), False)
-    lag_one = float(np.mean(residual[1:][pairs] * residual[:-1][pairs]) / square)
-    mean = np.bincount(hold, residual) / size
-    of_means = float(np.sum(size * mean**2)) / max(holds - num_parameters, 1.0)
-    of_all = square * count / max(count - num_parameters, 1.0)
-    effective = float(np.clip(count * of_all / max(of_means, 1e-300), holds, count))
-    alarming = bool(np.sum(pairs) >= LEAST_PAIRS and lag_one > ALARM / np.sqrt(np.sum(pairs)))
-    return SerialCorrelation(count, holds, lag_one, effective if alarming else float(count), alarming)
+    same = labels[1:] == labels[:-1]
+    one, other = residual[1:][same], residual[:-1][same]
+    size = float(np.sum(one**2 + other**2) / 2)
+    correlation = float(one @ other) / size if size > 0 else 0.0
+    clear = one.size >= LEAST_PAIRS and correlation > ALARM / np.sqrt(one.size) and size >= LEAST_RESIDUAL**2 * one.size
+    return correlation if clear else 0.0
 
 
 def holds_of(table: Measurements) -> np.ndarray:

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 # of results.json
 OF_FIT = (
     *("result", "success", "verdict", "warnings", "noise", "noise_model", "noise_estimated", "input_noise"),
-    *("serial_correlation", "neighbours", "tip_misfits"),
+    *("neighbours", "tip_misfits"),
     *("trial_effects", "trial_spread", "moved_by_steps", "reduced_chi_square"),
     *("degrees_of_freedom", "log_likelihood", "information_criteria", "restarted", "num_steps"),
 )
@@ -256,21 +256,19 @@ def _trials(fit: Fit) -> list[str]:
 
 
 def _noise(fit: Fit) -> list[str]:
-    head = ("data", "standard deviation", "made of", "correlation from row to row of a hold", "count as independent")
+    head = ("data", "standard deviation", "made of")
     rows = []
     for label, deviation in fit.noise.items():
         scale, unit = preferred(column_dimension(label.rpartition(": ")[2]) or "dimensionless")
-        alike, made_of = fit.serial_correlation[label], "the same for all"
+        made_of = "the same for all"
         if label in fit.noise_model:
             floor, fraction = (part or 0.0 for part in fit.noise_model[label])
             made_of = f"{scale * floor:.3g} {unit} and {100 * fraction:.3g} % of the value"
-        independent = f"{alike.num_effective:.0f} of {alike.num_readings}"
-        size = f"{scale * deviation:.3g} {unit}"
-        rows.append([label, size, made_of, f"{alike.lag_one:.2f}".replace("nan", "-"), independent])
+        rows.append([label, f"{scale * deviation:.3g} {unit}", made_of])
     for label, deviation in fit.input_noise.items():
         kind = "estimated" if label in fit.evidence.estimated_inputs else "as given" if deviation else "none is seen"
         scale, unit = preferred(column_dimension(label.rpartition(": ")[2]) or "dimensionless")
-        rows.append([label, f"{scale * deviation:.3g} {unit}", kind, "-", "-"])
+        rows.append([label, f"{scale * deviation:.3g} {unit}", kind])
     kind = "estimated from the residuals" if fit.noise_estimated else "as given"
     text = f"Noise {kind}; {fit.degrees_of_freedom} degrees of freedom; rank {fit.rank}; {fit.result}."
     tips = [
