@@ -203,7 +203,8 @@ def _parameters(fit: Fit) -> list[list[str]]:
         scale, unit = shown_unit(name) if name in fit.status else (1.0, f" {unit}")
         value, error, low, high = (scale * number for number in numbers)
         spread = [f"{error:.2g}{unit}", f"{low:.5g} to {high:.5g}{unit}"] if np.isfinite(error) else ["-", "-"]
-        rows.append([name, f"{value:.5g}{unit}" if np.isfinite(value) else "-", *spread, status])
+        known = status != NOT_IDENTIFIED
+        rows.append([name, *([f"{value:.5g}{unit}", *spread] if known else "---"), status])
     return rows
 
 
