@@ -54,3 +54,22 @@ def wait_for(page, name, text=None):
 def hosts_of(asked):
     """Of what a page asked for, but for what it made itself."""
     return {urlsplit(url).hostname for url in asked if not url.startswith(("data:", "blob:"))}
+
+
+def type_at(page, place, text):
+    """Into the field beside a slider."""
+    field = page.locator(".slider-edit input").nth(place)
+    field.fill(text)
+    field.press("Enter")
+
+
+def is_to_scale(page, figure):
+    """Whether a millimetre has as many pixels along both axes, up to 1 %."""
+    x, y = page.evaluate(
+        """name => {
+        const {x_range, y_range, inner_width, inner_height} = Bokeh.documents[0].get_model_by_name(name)
+        return [(x_range.end - x_range.start) / inner_width, (y_range.end - y_range.start) / inner_height]
+    }""",
+        figure,
+    )
+    return abs(x - y) < 0.01 * y

@@ -83,17 +83,9 @@ def test_the_whole_figure(history):
     assert figure.get_figwidth() == figures.DOUBLE_COLUMN
 
 
-@pytest.mark.parametrize(
-    ("draw", "message"),
-    [
-        (lambda it: figures.draw_loop(it, "strain"), "draw_loop: quantity must be one of tip_tension, tip_angle, tend"),
-        (lambda it: figures.draw_along(BODY, it, "x"), "figures: quantity must be one of tension, "),
-    ],
-)
-def test_what_cannot_be_drawn(draw, message, history):
-    with pytest.raises(cddf.InputError) as raised:
-        draw(history)
-    assert str(raised.value).startswith(message)
+def test_what_cannot_be_drawn(history):
+    with pytest.raises(cddf.InputError, match=r"^draw_loop: quantity must be one of tip_tension, tip_angle, tend"):
+        figures.draw_loop(history, "strain")
 
 
 def test_a_step_that_failed_is_not_drawn(history):

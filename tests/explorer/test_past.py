@@ -1,4 +1,4 @@
-"""The loops that the explorer draws, against docs/hysteresis.md and `trace` along the whole path."""
+"""What the explorer remembers of the sliders, and the loops that it draws, against docs/hysteresis.md and `trace`."""
 
 import re
 
@@ -6,13 +6,16 @@ import jax
 import numpy as np
 import pytest
 from bodies import paper_body
-from moves import FIRST, FORCE, MODULUS, SECOND, loop_after
 
 import cddf_jax as cddf
 from cddf_jax.explorer.model import Exploration
+from cddf_jax.explorer.past import NUM_MOVES, after_move, loop_of, why_no_loop
 from cddf_jax.explorer.plots import BodyPlot, TensionPlots
 from cddf_jax.explorer.words import loop_html
+from cddf_jax.measurements.table import Measurements
 
+FIRST, SECOND, FORCE, MODULUS = "base_tension_1", "base_tension_2", "tip_force.1", "youngs_modulus"
+FORGET = "the button"
 COMPILED = []  # what was traced or compiled in this process
 jax.monitoring.register_event_duration_secs_listener(
     lambda event, duration_secs, **_: (
@@ -24,6 +27,72 @@ jax.monitoring.register_event_duration_secs_listener(
 @pytest.fixture(scope="module")
 def one():
     return Exploration(paper_body("exact"))
+
+
+@pytest.fixture(scope="module")
+def pair():
+    return Exploration(paper_body("exact", num_tendons=2))
+
+
+def moves_of(explored, *moves):
+    """After the first picture, and moves that are numbers by name or the button that forgets."""
+    found, settings = (), explored.start
+    for move in ({}, *moves):
+        numbers = {} if move == FORGET else move
+        settings = settings._replace(numbers={**settings.numbers, **numbers})
+        found = after_move(() if move == FORGET else found, explored, settings)
+    return found
+
+
+def loop_after(explored, *moves, tendon=0):
+    """The path of a tendon, with the manipulator as it is set then."""
+    numbers = {name: number for move in moves for name, number in move.items()}
+    body = explored.case(explored.start._replace(numbers={**explored.start.numbers, **numbers})).manipulator
+    return body, loop_of(body, moves_of(explored, *moves), tendon, explored.arc_length)
+
+
+def pulls(moves):
+    """The tension of the first tendon after each move, N."""
+    return [move[0] for move in moves]
+
+
+def test_a_move_that_goes_on_is_one_with_the_last(one, pair):
+    assert pulls(moves_of(one, {FIRST: 78.0}, {FIRST: 78.0}, {FIRST: 80.0})) == [80.0]
+    assert pulls(moves_of(one, {FIRST: 60.0}, {FIRST: 40.0}, {FIRST: 50.0}, {FIRST: 60.0})) == [75.0, 40.0, 60.0]
+    found = moves_of(pair, {SECOND: 10.0}, {SECOND: 20.0}, {FIRST: 30.0}, {SECOND: 30.0})
+    assert [move[:2] for move in found] == [(75.0, 0.0), (75.0, 20.0), (30.0, 20.0), (30.0, 30.0)]
+
+
+def test_loads_move_as_tensions_do(one):
+    found = moves_of(one, {FIRST: 40.0}, {FORCE: -0.1}, {FORCE: 0.0})
+    assert [(move[0], move[2]) for move in found] == [(75.0, 0.0), (40.0, 0.0), (40.0, -0.1), (40.0, 0.0)]
+
+
+def test_another_body_keeps_the_moves(one):
+    assert pulls(moves_of(one, {FIRST: 40.0}, {MODULUS: 1.5})) == [75.0, 40.0]
+    assert pulls(moves_of(one, {FIRST: 40.0}, FORGET, {FIRST: 30.0})) == [40.0, 30.0]
+
+
+def test_where_there_is_no_loop_the_reason_is_said(one):
+    assert why_no_loop(moves_of(one)).startswith("Drag the base tension back")
+    assert why_no_loop(moves_of(one, {FIRST: 40.0})) == ""
+    zigzag = [{FIRST: 50 + side * (20 - 0.5 * i)} for i in range(NUM_MOVES) for side in (1, -1)]
+    said = why_no_loop(moves_of(one, *zigzag))
+    assert said == f"More than {NUM_MOVES} moves are remembered at once; forget the past to go on."
+
+
+@pytest.mark.slow
+def test_rows_of_a_measured_loop_know_their_past():
+    """docs/hysteresis.md: tip tensions on the way back to the digits of the table."""
+    base, tip = [75.0, 60.0, 40.0, 20.0], [45.122927, 45.122927, 45.122927, 24.288558]
+    table = Measurements.from_columns("loop", base_tension=base, tip_tension=tip, step=[1, 2, 3, 4])
+    body = paper_body("exact")
+    ((rows, model),) = Exploration(body, (table,)).in_rows(body)
+    assert rows is table
+    np.testing.assert_allclose(model["tip_tension"], tip, atol=6e-7)
+
+
+# --- loops ----------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -61,10 +130,9 @@ def test_the_path_is_that_of_a_trace(one):
 
 
 @pytest.mark.slow
-def test_several_tendons_and_loads_have_a_past():
+def test_several_tendons_and_loads_have_a_past(pair):
     """Within the error of elements and increments. After the second step the tendons hold each other."""
-    pair, rel = Exploration(paper_body("exact", num_tendons=2)), 5e-3
-    moves = ({SECOND: 20.0}, {FIRST: 30.0}, {FORCE: -0.5})
+    rel, moves = 5e-3, ({SECOND: 20.0}, {FIRST: 30.0}, {FORCE: -0.5})
     body, found = loop_after(pair, *moves, tendon=1)
     force = [(0.0, 0.0)] * 3 + [(0.0, -0.5)]
     pulls = [[75.0, 0.0], [75.0, 20.0], [30.0, 20.0], [30.0, 20.0]]
