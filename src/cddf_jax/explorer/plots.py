@@ -9,7 +9,7 @@ from bokeh.models import Arrow, ColumnDataSource, HoverTool, LinearAxis, NormalH
 from bokeh.plotting import figure
 
 from ..figures.geometry import Body, drawn, lines_along, straight_body
-from ..figures.looks import BLACK, BLUE, CURVES, GREEN, GREY, PALE, PURPLE, VERMILION
+from ..figures.looks import BLACK, BLUE, CURVES, GREEN, GREY, PALE, PURPLE, VERMILION, Look
 from ..measurements.readings import kind_of, of_tendons, tendon_number
 from ..measurements.table import Measurements
 from ..mechanics.fields import in_the_plane
@@ -19,7 +19,6 @@ from ..statics.equilibrium import Equilibrium
 from .model import Curve, Picture
 from .past import Loop
 
-Look: TypeAlias = dict[str, Any]  # what Bokeh takes for properties of a glyph: colours, widths, names of columns
 Plot: TypeAlias = Any  # a Bokeh figure, whose attributes type checkers do not know
 Columns: TypeAlias = dict[str, Any]  # of a source: arrays and lists by name
 TableColumns: TypeAlias = tuple[Measurements, Mapping[str, np.ndarray]]  # a table, and columns of its rows
@@ -34,6 +33,7 @@ MARKS: dict[str, Look] = {  # of readings, and of the model in their rows
     "data": {"size": 6, "fill_color": "white", "legend_label": "data"},
     "rows": {"size": 7, "marker": "x", "legend_label": "model at the data"},
 }
+PAST: Look = {"line_color": PURPLE, "line_dash": [6, 3], "line_width": 2}
 NONE = np.zeros((0, 2))  # points
 NOTHING_PULLED: Columns = {name: [0.0] for name in ("base", "pull", "tension", "angle")}
 NO_POINTS: Columns = {"base": [], "value": [], "color": []}
@@ -102,8 +102,7 @@ class BodyPlot:
         fig, source = self.figure, self.sources
         fig.patches("xs", "ys", source=source["walls"], fill_color=PALE, line_color=GREY)
         fig.line("x", "y", source=source["midline"], color=GREY, line_dash="dashdot")
-        past: Look = {"line_color": PURPLE, "line_dash": [6, 3], "line_width": 2, "legend_label": "with its past"}
-        fig.line("x", "y", source=source["past"], name="past", **past)
+        fig.line("x", "y", source=source["past"], name="past", legend_label="with its past", **PAST)
         look = {"line_color": "color", "line_dash": "dash", "line_width": 1.5, "legend_label": "tendon"}
         fig.multi_line("xs", "ys", source=source["tendons"], **look)
         fig.scatter("x", "y", source=source["ends"], color=BLACK, size=6)
@@ -235,8 +234,7 @@ class TensionPlots:
     def _draw(self, fig: Plot, name: str) -> None:
         points = self.points[name]
         fig.line("base", name, source=self.curve, line_width=2, color=BLUE, legend_label="model", name="model")
-        look: Look = {"line_width": 2, "color": PURPLE, "line_dash": [6, 3], "legend_label": "with its past"}
-        fig.line("base", "value", source=self.loops[name], name="loop", **look)
+        fig.line("base", "value", source=self.loops[name], name="loop", legend_label="with its past", **PAST)
         marks = {
             **{kind: look | {"line_color": "color"} for kind, look in MARKS.items()},
             "now": {"size": 12, "marker": "diamond", "color": VERMILION, "legend_label": "now"},

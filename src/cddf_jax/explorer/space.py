@@ -9,13 +9,13 @@ from bokeh.events import Pan, PanStart
 from bokeh.models import ColumnDataSource, CustomJS, Slider
 
 from ..figures.geometry import AZIMUTH, ELEVATION, Drawn, drawn
-from ..figures.looks import BLACK, GREY, PALE, PURPLE
+from ..figures.looks import BLACK, GREY, PALE, PURPLE, Look
 from ..measurements.markers import marker_column
 from ..robot.manipulator import Manipulator
 from ..units import round_number
 from .model import Picture
 from .past import Loop
-from .plots import MARKS, Columns, Look, Plot, TableColumns, bare_figure, look_of_legend, show_named, tendon_look
+from .plots import MARKS, PAST, Columns, Plot, TableColumns, bare_figure, look_of_legend, show_named, tendon_look
 
 DRAW, TURN = (Path(__file__).with_name(f"{name}.js").read_text(encoding="utf-8") for name in ("space", "turn"))
 # by plane: azimuth and elevation, deg, from where it is seen, and the coordinates to the right and up
@@ -94,7 +94,7 @@ class SpacePlot:
         for kind in self.places:
             self.figure.scatter("x", "y", source=seen[kind], name=kind, line_color=BLACK, **MARKS[kind])
             show_named(self.figure, kind, False)
-        self._draw_legend(one=manipulator.num_tendons == 1)
+        self._draw_legend()
         self.views: list[Plot] = []
         for plane, (around, up, _) in PLANES.items():
             x, y = (f"{axis} (mm)" for axis in plane)
@@ -121,13 +121,11 @@ class SpacePlot:
         self.extents.append(extent)
         return seen
 
-    def _draw_legend(self, one: bool) -> None:
+    def _draw_legend(self) -> None:
         """The legend, with entries for what is drawn without one."""
         tendon = tendon_look(0) | {"line_width": 2}
         looks = {"straight": {"line_color": GREY, "line_dash": "dotted"}, "tendon": tendon}
-        looks |= {"hidden": tendon | {"line_alpha": HIDDEN}}
-        if one:
-            looks |= {"with its past": {"line_color": PURPLE, "line_dash": [6, 3], "line_width": 2}}
+        looks |= {"hidden": tendon | {"line_alpha": HIDDEN}, "with its past": PAST}
         for words, look in looks.items():
             self.figure.line([np.nan], [np.nan], legend_label=words, **look)
         legend = self.figure.legend[0]

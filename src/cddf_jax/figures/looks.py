@@ -6,7 +6,7 @@ their own, so that a grey print can be read.
 
 from typing import Any, TypeAlias
 
-LookValue: TypeAlias = Any  # what Matplotlib takes for one property of what it draws: a colour, a width, a marker
+LookValue: TypeAlias = Any  # one property of what is drawn, for Matplotlib or Bokeh: a colour, a width, a marker
 Look: TypeAlias = dict[str, LookValue]
 
 BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PURPLE = (
