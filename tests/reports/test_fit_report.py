@@ -4,6 +4,7 @@ import dataclasses
 import json
 import re
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from bodies import paper_body
@@ -137,6 +138,9 @@ def test_where_the_noise_comes_from(tensions_only, with_prior):
     assert "Noise estimated from the residuals; 101 degrees of freedom; rank 1" in words_of(tensions_only)
     assert "Noise as given" in words_of(with_prior)
     assert "| pulley_simulated.csv: pulling_tension | 0.3 N | the same for all |" in words_of(with_prior)
+
+
+def test_prior_only_is_said(with_prior):
     assert row_of(words_of(with_prior), "youngs_modulus")[3] == "prior only"
 
 
@@ -180,12 +184,33 @@ def test_the_dictionary_holds_the_fit(paper_route):
 # --- figures -------------------------------------------------------------------------------------
 
 
-def test_one_figure_per_table(paper_route):
-    figures = fit_figures.table_figures(paper_route)
+@pytest.fixture(scope="module")
+def figures(paper_route):
+    before = plt.get_fignums()
+    made = fit_figures.table_figures(paper_route)
+    assert plt.get_fignums() == before  # nothing left open
+    return made
+
+
+def test_one_figure_per_table(figures):
     assert list(figures) == ["fit_pulley_simulated", "fit_load_cells_simulated"]
-    above, below = figures["fit_load_cells_simulated"].axes  # data and model above, residuals below
-    labels = [above.get_ylabel(), below.get_ylabel(), below.get_xlabel()]
-    assert labels == ["Tip tension (N)", "Residual (N)", "Base tension (N)"]
+    for figure in figures.values():
+        assert len(figure.axes) == 2  # data and model above, residuals below
+    above, below = figures["fit_load_cells_simulated"].axes
+    labels = [above.get_ylabel().lower(), below.get_ylabel().lower(), below.get_xlabel().lower()]
+    for label, quantity in zip(labels, ("tip tension", "residual", "base tension"), strict=True):
+        assert label.startswith(quantity)
+        assert re.search(r"\bn\b", label)  # the unit
+
+
+def test_the_curve_is_the_model(figures, paper_route):
+    """The line of the load cells' panel against the closed form at the estimate, docs/theory.md (16)."""
+    above = figures["fit_load_cells_simulated"].axes[0]
+    mu, modulus = (paper_route.value[name] for name in BOTH)
+    drawn = [xy_of(line).T for line in above.get_lines() if len(xy_of(line).T) == 100]
+    assert drawn
+    base, tip = np.asarray(drawn[0]).T
+    np.testing.assert_allclose(tip, base / (1 + mu / modulus * base * 2.942783188998e4), rtol=1e-8)
 
 
 def test_the_figure_of_a_single_level(paper):
