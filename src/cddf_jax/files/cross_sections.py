@@ -37,28 +37,6 @@ _COLUMNS = "arc_length, outer_radius, inner_radius, offset_1, offset_2, ..."
 _OFFSET = re.compile("offset(_[1-9][0-9]*)?")
 
 
-class SectionColumn(NamedTuple):
-    """A column of a table of cross-sections as it was read; `print` says which profile was taken."""
-
-    name: str
-    arc_length: np.ndarray  # m, of the points in the table
-    values: np.ndarray  # m, radii, or distances of a tendon from the neutral axis
-    profile: Profile
-
-    @property
-    def words(self) -> str:
-        """The profile that was taken; for an offset of straight lines also how far they turn the tendon, which rubs."""
-        said = _in_words(self.profile)
-        if not (self.name.startswith("offset") and isinstance(self.profile, Polyline)):
-            return said
-        angle = np.arctan(np.diff(self.profile.values) / np.diff(self.profile.arc_length))
-        turned = np.degrees(np.sum(np.abs(np.diff(angle))))
-        return f"{said}, whose kinks turn the tendon by {turned:.3g} deg in all"
-
-    def __str__(self) -> str:
-        return f"{self.name}: {self.words}"
-
-
 class CrossSections(NamedTuple):
     """The body in a table of cross-sections."""
 
@@ -66,7 +44,7 @@ class CrossSections(NamedTuple):
     outer_radius: Profile
     inner_radius: Profile
     tendons: tuple[Tendon, ...]
-    columns: tuple[SectionColumn, ...]  # as they were read
+    columns: tuple[str, ...]  # how each was read, such as "inner_radius: constant 7 mm"
 
     @property
     def body(self) -> dict[str, Any]:
@@ -98,9 +76,19 @@ def read_cross_sections(path: str | os.PathLike[str], *, tolerance: float = TOLE
         return _sections(table.columns, table.rows, tolerance)
 
 
-def in_one_line(columns: Sequence[SectionColumn]) -> str:
+def in_one_line(columns: Sequence[str]) -> str:
     """How a table was read, in one line."""
-    return f"cross-sections: {'; '.join(map(str, columns))}"
+    return f"cross-sections: {'; '.join(columns)}"
+
+
+def _column_in_words(name: str, profile: Profile) -> str:
+    """The profile that was taken; for an offset of straight lines also how far they turn the tendon, which rubs."""
+    said = f"{name}: {_in_words(profile)}"
+    if not (name.startswith("offset") and isinstance(profile, Polyline)):
+        return said
+    angle = np.arctan(np.diff(profile.values) / np.diff(profile.arc_length))
+    turned = np.degrees(np.sum(np.abs(np.diff(angle))))
+    return f"{said}, whose kinks turn the tendon by {turned:.3g} deg in all"
 
 
 def _in_words(profile: Profile) -> str:
@@ -162,23 +150,23 @@ def _sections(columns: dict[str, np.ndarray], rows: list[int], tolerance: float)
         if column not in columns:
             raise InputError(f"the column {column} is missing; add it")
     s = _arc_length(columns["arc_length"], rows)
-    names = _offset_columns(columns)
-    read, tendons = [_column(name, s, columns[name], tolerance) for name in ("outer_radius", "inner_radius")], []
+    names, tendons = _offset_columns(columns), []
+    profiles = {name: _profile(name, s, columns[name], tolerance) for name in ("outer_radius", "inner_radius")}
     for name in names:
         side, count = _side_and_count(columns[name], rows, name)
         distance = side * columns[name][:count]
         if s[count - 1] == s[count - 2] and abs(distance[-1] - distance[-2]) > tolerance:
             remedy = "fill one of the two cells there"
             raise InputError(f"row {rows[count - 1]}, column {name}: the tendon ends in a step; {remedy}")
-        offset = _column(name, s[:count], distance, tolerance)
-        read.append(offset)
-        tendons.append(Tendon(offset.profile, side, end=None if s[count - 1] == s[-1] else float(s[count - 1])))
-    return CrossSections(float(s[-1]), read[0].profile, read[1].profile, tuple(tendons), tuple(read))
+        profiles[name] = _profile(name, s[:count], distance, tolerance)
+        tendons.append(Tendon(profiles[name], side, end=None if s[count - 1] == s[-1] else float(s[count - 1])))
+    said = tuple(_column_in_words(name, profile) for name, profile in profiles.items())
+    return CrossSections(float(s[-1]), profiles["outer_radius"], profiles["inner_radius"], tuple(tendons), said)
 
 
-def _column(name: str, s: np.ndarray, values: np.ndarray, tolerance: float) -> SectionColumn:
+def _profile(name: str, s: np.ndarray, values: np.ndarray, tolerance: float) -> Profile:
     with within(name):
-        return SectionColumn(name, s, values, simplest_profile(s, values, tolerance))
+        return simplest_profile(s, values, tolerance)
 
 
 def _arc_length(s: np.ndarray, rows: list[int]) -> np.ndarray:

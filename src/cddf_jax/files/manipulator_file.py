@@ -93,7 +93,7 @@ from ..quantities import QUANTITIES, dimension_of
 from ..robot.manipulator import STIFFNESSES, STRAINS, Manipulator, PointMass, Tendon
 from ..robot.profiles import Constant, Linear, Piecewise, Polyline, Profile, Spline, as_profile
 from ..units import Dimension, quantity, written
-from .cross_sections import TOLERANCE, SectionColumn, read_cross_sections
+from .cross_sections import TOLERANCE, read_cross_sections
 from .writing import write_all
 
 _Table = Mapping[str, Any]
@@ -116,13 +116,13 @@ class RobotFile(NamedTuple):
 
     Attributes:
         manipulator: the body, validated.
-        columns: of its table of cross-sections, as they were read; none without a table.
+        columns: how those of its table of cross-sections were read, in words; none without a table.
         offsets_outside_wall: whether tendons may run in the bore or outside the body.
         gravity: (X, Y) or (X, Y, Z) in the frame at the base, m/s^2, as `Loads` takes it; None where the file has none.
     """
 
     manipulator: Manipulator
-    columns: tuple[SectionColumn, ...]
+    columns: tuple[str, ...]
     offsets_outside_wall: bool
     gravity: tuple[float, ...] | None = None
 
@@ -298,7 +298,7 @@ def _tables(table: _Table, key: str, one: str) -> list[_Table]:
     return found
 
 
-def _read_sections(table: _Table, folder: Path) -> tuple[dict[str, Any], tuple[SectionColumn, ...]]:
+def _read_sections(table: _Table, folder: Path) -> tuple[dict[str, Any], tuple[str, ...]]:
     """The body in the CSV file that is named, with the numbers in the tables of the tendons, and its columns."""
     file, tolerance = _named(table[_SECTIONS], folder)
     sections = read_cross_sections(file, tolerance=tolerance)
