@@ -57,19 +57,10 @@ def test_a_place_of_the_tip_with_limits():
     assert refused(read_actuation, ["tip_position=100, 80 mm", "3 N"], TWO) == message
 
 
-@pytest.mark.parametrize(
-    ("tension", "message"),
-    [
-        ("75", "--base-tension needs a unit of force, got '75'; write for example '12.5 N'"),
-        ("", "--base-tension is not a number, got ''"),
-        ("-5 N", "--base-tension"),
-    ],
-)
-def test_wrong_tensions(tension, message):
-    assert refused(read_actuation, [tension], ONE).startswith(message)
-
-
-WRONG_TARGETS = [
+WRONG = [
+    ("75", "--base-tension needs a unit of force, got '75'; write for example '12.5 N'"),
+    ("", "--base-tension is not a number, got ''; write for example '12.5 N'"),
+    ("-5 N", "--base-tension '-5 N': a tendon cannot push; give 0 N or more"),
     ("tip_angle=45", "--base-tension tip_angle needs a unit of angle, got '45'; write for example '12.5 deg'"),
     ("tip_angle 45 deg", "--base-tension 'tip_angle 45 deg': write a target with = as in 'tip_angle=12 deg'"),
     ("tip-angle=45 deg", "--base-tension 'tip-angle=45 deg': unknown target 'tip-angle'; did you mean tip_angle?"),
@@ -106,8 +97,8 @@ WRONG_TARGETS = [
 ]
 
 
-@pytest.mark.parametrize(("target", "message"), WRONG_TARGETS)
-def test_wrong_targets(target, message):
+@pytest.mark.parametrize(("target", "message"), WRONG)
+def test_wrong_tensions_and_targets(target, message):
     assert refused(read_actuation, [target], ONE) == message
 
 
@@ -165,22 +156,6 @@ def test_loads_at_places_of_the_body():
         ("60 mm: 0, -1 N and 1 N", "needs a unit of moment, got '1 N'; write for example '12.5 N m'"),
     ):
         assert refused(read_loads, None, None, None, [text]) == f"--point-load {message}"
-
-
-@pytest.mark.parametrize(
-    ("texts", "mounted", "force", "gravity"),
-    [
-        ((None, None, None), (0.0, -9.81), [0.0, 0.0], [0.0, -9.81]),
-        (("0, -5 N", None, None), (0.0, -9.81), [0.0, -5.0], [0.0, -9.81]),
-        ((None, None, "1, 2 m/s^2"), (9.81, 0.0, 0.0), [0.0, 0.0], [1.0, 2.0]),
-        (("0, -5 N", None, "0, 0 m/s^2"), (0.0, -9.81), [0.0, -5.0], [0.0, 0.0]),
-    ],
-)
-def test_gravity_of_the_robot_file_acts_where_the_text_gives_none(texts, mounted, force, gravity):
-    loads = read_loads(*texts, mounted=mounted)
-    assert loads is not None
-    assert np.asarray(loads.tip_force).tolist() == force
-    assert np.asarray(loads.gravity).tolist() == gravity
 
 
 def test_zeros_switch_the_gravity_of_the_robot_file_off():

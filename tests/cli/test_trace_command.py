@@ -122,17 +122,6 @@ def test_a_noise_that_has_no_meaning(fails, robot, path, noise, message):
 
 
 @pytest.mark.slow
-def test_displacements_and_tip_angles(answer_of, robot):
-    """Back by 2 mm from 75 N: 41.836412 N by the closed form; the displacement is 10 mm times the angle."""
-    top = 10 * np.radians(69.313929)
-    answer = answer_of("trace", robot, "--path", f"{top} mm, {top - 2} mm")
-    assert answer["base_tension"] == pytest.approx([75.0, 41.836412], abs=2e-6)
-    answer = answer_of("trace", robot, "--path", f"{np.degrees(top / 10)} deg, {np.degrees(top / 10 - 0.2)} deg")
-    assert answer["base_tension"] == pytest.approx([75.0, 41.836412], abs=2e-6)
-    assert answer["results"] == ["successful"] * 2
-
-
-@pytest.mark.slow
 def test_a_tendon_that_would_have_to_push_is_slack(cddf_command, robot):
     """10 mm times the angle is the displacement: 0 where the body is straight, and less only by a push."""
     code, out, _ = cddf_command("trace", robot, "--path", "5 mm, -1 mm, 2 mm")
