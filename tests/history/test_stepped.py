@@ -80,17 +80,6 @@ def test_a_softer_law_is_within_its_error(pair, monkeypatch):
     assert np.all(np.maximum(apart, np.abs(soft.tip_angle - pair.tip_angle)) < 1e-3)
 
 
-@pytest.mark.slow
-def test_refined_antagonists_meet_the_table():
-    rough, fine = (cddf.trace(PAIR, PATH, nodes=22, short_steps=count).tip_angle for count in (32, 64))
-    np.testing.assert_allclose(np.degrees(2 * fine - rough), ANGLES, atol=0.005)  # the error falls with the steps
-
-
-def random_paths(bodies, steps):
-    rng = np.random.default_rng(7)
-    return [rng.uniform(0.0, 75.0, (steps, body.num_tendons)) for body in bodies]
-
-
 THREE = replace(PAIR, tendons=(cddf.Tendon(0.010), cddf.Tendon(0.008, side=-1), cddf.Tendon(0.006)))
 
 
@@ -109,7 +98,7 @@ def test_random_paths_settle_and_end_where_solve_does(body):
     shares = np.array([1.0, 0.4, 0.3])[: body.num_tendons]
     pull = np.outer([0.0, 70.0], shares)
     found = cddf.solve(body, pull[1])
-    for path in random_paths([body] * 4, 6):
+    for path in np.random.default_rng(7).uniform(0.0, 75.0, (4, 6, body.num_tendons)):
         # so few nodes and steps may be inaccurate on the way
         history = cddf.trace(body, np.concatenate([path, pull]), nodes=8, short_steps=8, throw=False)
         assert np.all(np.isfinite(history.tip_angle))

@@ -26,7 +26,7 @@ from bodies import (
     plain_of,
 )
 from hypothesis import given, settings, strategies as st
-from kinds import of_kind, root_of
+from kinds import of_kind
 from refusals import refused
 from scipy.integrate import quad, solve_ivp
 
@@ -119,50 +119,38 @@ def test_the_shape_is_the_integral_of_its_heading():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("path", [(150.0, 120.0), (200.0, 150.0)])
-def test_a_front_with_drag_where_the_tendon_would_lock(path):
-    """Were all of it to slide out, it would lock; SciPy's solve_ivp ends where the tension is that of the pull."""
-    drag = 60.0
+@pytest.mark.parametrize(("path", "drag"), [((70.0, 45.0), 8.0), ((150.0, 120.0), 60.0), ((200.0, 150.0), 60.0)])
+def test_a_front_with_drag_against_an_integration(path, drag):
+    """T by SciPy's solve_ivp along both directions, up to where they meet; from 150 N on all of it would lock."""
 
-    def growth(s, T):
-        return MU * OFFSET / stiffness(s) * T**2 + drag
+    def branch(tension, direction, events=None):
+        def rate(s, T):
+            return -direction * (MU * OFFSET / stiffness(s) * T**2 + drag)
 
-    exact: dict[str, Any] = {"rtol": 1e-12, "atol": 1e-12}
-    pulled = solve_ivp(lambda s, T: -growth(s, T), (0, LENGTH), path[:1], dense_output=True, **exact).sol
+        options: dict[str, Any] = {"rtol": 1e-12, "atol": 1e-12, "dense_output": True}
+        return solve_ivp(rate, (0, LENGTH), [tension], events=events, **options)
+
+    pulled = branch(path[0], 1).sol
 
     def meets(s, T):
         return T[0] - pulled(s)[0]
 
     vars(meets).update(terminal=True, direction=1)
-    front = solve_ivp(growth, (0, LENGTH), path[1:], events=meets, **exact).t_events[0][0]
+    released = branch(path[1], -1, meets)
+    front = released.t_events[0][0]
     history = cddf.trace(paper_body("exact", drag=drag), path)
     np.testing.assert_allclose(history.front[1], front, rtol=1e-9)
     assert history.error_estimate[1] < 1e-10
+    s = np.linspace(0, LENGTH, 41)
+    expected = [(released.sol if x < front else pulled)(x)[0] for x in s]
+    np.testing.assert_allclose(history.at(s).tension[1, 0], expected, rtol=1e-9)
 
 
 @pytest.mark.slow
-def test_with_drag_against_an_integration():
-    """What 5 N/m leave after full release: 0.702123 N and 0.544432 degrees, by an independent simulation.
-
-    And T by SciPy's solve_ivp along both directions, joined where they meet.
-    """
-    drag = 8.0
+def test_what_drag_leaves_after_full_release():
+    """0.702123 N and 0.544432 degrees, by an independent simulation."""
     left = cddf.trace(paper_body("exact", drag=5.0), [75.0, 0.0])
     np.testing.assert_allclose([left.tip_tension[1], np.degrees(left.tip_angle[1])], [0.702123, 0.544432], atol=6e-7)
-
-    def branch(tension, direction):
-        def rate(s, T):
-            return -direction * (MU * OFFSET / stiffness(s) * T**2 + drag)
-
-        return solve_ivp(rate, (0, LENGTH), [tension], rtol=1e-12, atol=1e-12, dense_output=True).sol
-
-    pulled, released = branch(70.0, 1), branch(45.0, -1)
-    front = root_of(lambda s: pulled(s)[0] - released(s)[0], 0, LENGTH, xtol=1e-15)
-    history = cddf.trace(paper_body("exact", drag=drag), [70.0, 45.0])
-    np.testing.assert_allclose(history.front[1], front, rtol=1e-9)
-    s = np.linspace(0, LENGTH, 41)
-    expected = np.where(s < front, released(s)[0], pulled(s)[0])
-    np.testing.assert_allclose(history.at(s).tension[1, 0], expected, rtol=1e-9)
 
 
 @pytest.mark.slow

@@ -29,7 +29,7 @@ PAIR = (+1, -1)
 
 def compare_pair(kinematics, first, second, base_tension, direction, end=None):
     """Antagonists by their offsets at base and tip; `end` of the first. One structure for slanted and parallel ones."""
-    one, other = (cddf.Tendon(cddf.Linear(*ends, LENGTH), side) for ends, side in ((first, +1), (second, -1)))
+    one, other = (cddf.Tendon(cddf.Linear(*ends, length=LENGTH), side) for ends, side in ((first, +1), (second, -1)))
     offsets = [straight(*ends, length=LENGTH) for ends in (first, second)]
     slopes = [constant((tip - base) / LENGTH) for base, tip in (first, second)]
     ends = (LENGTH if end is None else end, LENGTH)

@@ -62,75 +62,62 @@ def stretching(axial_stiffness, free_length):
     return replace(paper_body("exact"), tendons=(tendon,))
 
 
-# one compiled program each: body and target of the wanted value x and other numbers, and the lanes
+def paper(*_):
+    return paper_body("exact")
+
+
+# one compiled program each: the body and the target of the wanted value and other numbers, and the lanes
 PROGRAMS = {
     "displacement": (
-        lambda x, EA, free: (stretching(EA, free), cddf.Displacement(x)),
+        stretching,
+        lambda x, *_: cddf.Displacement(x),
         [(0.012, RIGID, 0.0), (soft_displacement(), SOFT, FREE), (-0.002, RIGID, 0.0)],
     ),
-    "tip_tension": (lambda x: (paper_body("exact"), cddf.TipTension(x)), [(45.0,)]),
-    "curvature": (
-        lambda x, place: (paper_body("exact"), cddf.CurvatureAt(x, place)),
-        [(10.0, 0.09), (-3.0, 0.05), (5.0, -0.01), (5.0, 0.15)],
-    ),
+    "tip_angle": (paper, cddf.TipAngle, [(1.0,), (0.5,), (-0.5,), (12.0,), (np.nan,)]),
+    "tip_tension": (paper, cddf.TipTension, [(45.0,)]),
+    "curvature": (paper, cddf.CurvatureAt, [(10.0, 0.09), (-3.0, 0.05), (5.0, -0.01), (5.0, 0.15)]),
 }
-ANGLES = [1.0, 0.5, -0.5, 12.0, np.nan]
+
+
+class Lanes(NamedTuple):
+    """The results of lanes; `slope` is that of the sum of their tensions, in reverse mode."""
+
+    found: Any
+    forward: Any  # derivatives of the tensions by the wanted values
+    slope: Any
+    slope_by_body: Any
+    second: Any  # derivatives of `slope` by the wanted values, forward mode over reverse mode
 
 
 @lru_cache
 def lanes_of(name):
-    """The equilibria of all lanes, and the derivatives of their tensions by the wanted value in forward mode."""
-    make, lanes = PROGRAMS[name]
+    body, target, lanes = PROGRAMS[name]
+    wanted, *others = jnp.asarray(lanes, float).T
 
-    def solve(x, *others):
-        body, target = make(x, *others)
-        found = cddf.solve(body, target, throw=False)
-        return found.base_tension[0], found
+    def reach(body, *numbers):
+        return cddf.solve(body, target(*numbers), throw=False)
 
-    def with_slope(x, *others):
-        _, slope, found = jax.jvp(lambda x: solve(x, *others), (x,), (jnp.ones_like(x),), has_aux=True)
-        return found, slope
-
-    return jax.jit(jax.vmap(with_slope))(*jnp.asarray(lanes, float).T)
-
-
-class ByAngle(NamedTuple):
-    """The results of lanes that reach an angle; `slope` is that of the sum of their tensions, in reverse mode."""
-
-    found: Any
-    forward: Any  # derivatives of the tensions by the angles
-    slope: Any
-    slope_by_body: Any
-    second: Any  # derivatives of `slope` by the angles, forward mode over reverse mode
-
-
-@lru_cache
-def by_angle():
-    def total(angles, bodies):
-        found = jax.vmap(lambda body, x: cddf.solve(body, cddf.TipAngle(x), throw=False))(bodies, angles)
+    def total(wanted, bodies):
+        found = jax.vmap(reach)(bodies, wanted, *others)
         return jnp.nansum(found.base_tension), found
 
     @jax.jit
-    def everything(angles, bodies):
-        def slopes(angles):
-            slopes, found = jax.grad(total, (0, 1), has_aux=True)(angles, bodies)
+    def everything(wanted, bodies):
+        def slopes(wanted):
+            slopes, found = jax.grad(total, (0, 1), has_aux=True)(wanted, bodies)
             return (slopes, found.base_tension[:, 0]), found
 
-        at, along, found = jax.jvp(slopes, (angles,), (jnp.ones_like(angles),), has_aux=True)
+        at, along, found = jax.jvp(slopes, (wanted,), (jnp.ones_like(wanted),), has_aux=True)
         (slope, slope_by_body), _ = at
-        return ByAngle(found, along[1], slope, slope_by_body, along[0][0])
+        return Lanes(found, along[1], slope, slope_by_body, along[0][0])
 
-    return everything(jnp.array(ANGLES), stack([paper_body("exact")] * len(ANGLES)))
+    return everything(wanted, stack([body(*rest) for _, *rest in lanes]))
 
 
 def lane_of(name, wanted):
-    """The lane of a wanted value, and its derivative."""
-    if name == "tip_angle":
-        values, (found, slopes) = ANGLES, by_angle()[:2]
-    else:
-        values, (found, slopes) = [x for x, *_ in PROGRAMS[name][1]], lanes_of(name)
-    i = values.index(wanted)
-    return lane(found, i), slopes[i]
+    """The lane of a wanted value: equilibrium, and the slope of its tension in both modes."""
+    lanes, i = lanes_of(name), [x for x, *_ in PROGRAMS[name][2]].index(wanted)
+    return lane(lanes.found, i), (lanes.forward[i], lanes.slope[i])
 
 
 CASES = {
@@ -146,20 +133,20 @@ CASES = {
     [case if case == "tip_angle" else pytest.param(case, marks=pytest.mark.slow) for case in CASES],
 )
 def test_one_tendon_against_the_closed_form(name):
-    """The tension that is found, and its derivative in forward mode."""
+    """The tension that is found, and its derivative in both modes."""
     wanted, tension = CASES[name]
-    found, forward = lane_of(name, wanted)
+    found, slopes = lane_of(name, wanted)
     h = 1e-3 * wanted
     slope = (tension(wanted - 2 * h) - 8 * tension(wanted - h) + 8 * tension(wanted + h) - tension(wanted + 2 * h)) / (
         12 * h
     )
     assert found.base_tension[0] == pytest.approx(tension(wanted), rel=CLOSED)
-    assert forward == pytest.approx(slope, rel=1e-7)  # the difference quotient of fourth order
+    assert slopes == pytest.approx((slope, slope), rel=1e-7)  # the difference quotient of fourth order
 
 
 def test_reverse_mode_and_the_second_derivative():
     """T = expm1(mu phi) / a: its derivative is mu exp(mu phi) / a, and so on."""
-    derivatives = by_angle()
+    derivatives = lanes_of("tip_angle")
     assert derivatives.slope[0] == pytest.approx(MU * np.exp(MU) / A, rel=1e-8)
     assert derivatives.second[0] == pytest.approx(MU**2 * np.exp(MU) / A, rel=1e-7)
 
@@ -323,25 +310,19 @@ def test_antagonists_that_stretch_have_their_tensions():
 
 def test_lanes_that_cannot_reach_harm_no_neighbour():
     """The gradient of a sum over a batch is that of the lanes that reach their target; a held lane has none."""
-    batch, slope = by_angle().found, by_angle().slope
-    expected = [
-        Status.successful,
-        Status.successful,
-        Status.unreachable,
-        Status.unreachable,
-        Status.unphysical,
-    ]
-    assert codes(batch.status) == expected
-    for i in (0, 1):
-        assert lane(batch, i).base_tension[0] == pytest.approx(np.expm1(MU * ANGLES[i]) / A, rel=CLOSED)
-        assert slope[i] == pytest.approx(MU * np.exp(MU * ANGLES[i]) / A, rel=1e-8)
+    batch, slope = lanes_of("tip_angle").found, lanes_of("tip_angle").slope
+    good, far = Status.successful, Status.unreachable
+    assert codes(batch.status) == [good, good, far, far, Status.unphysical]
+    for i, angle in enumerate((1.0, 0.5)):
+        assert lane(batch, i).base_tension[0] == pytest.approx(np.expm1(MU * angle) / A, rel=CLOSED)
+        assert slope[i] == pytest.approx(MU * np.exp(MU * angle) / A, rel=1e-8)
     np.testing.assert_array_equal(slope[2:], 0.0)
     assert np.all(np.isnan(lane(batch, 4).base_tension))
 
 
 def test_derivatives_by_the_body_at_constant_angle():
     """The tension expm1(mu phi) E / (mu G), by E and by mu."""
-    slope, tension = lane(by_angle().slope_by_body, 0), np.expm1(MU) / A
+    slope, tension = lane(lanes_of("tip_angle").slope_by_body, 0), np.expm1(MU) / A
     assert slope.youngs_modulus == pytest.approx(tension / E, rel=1e-8)
     assert slope.friction_coefficient == pytest.approx(E / (MU * G) * np.exp(MU) - tension / MU, rel=1e-8)
 
@@ -380,6 +361,6 @@ def test_what_no_body_in_space_can_have():
 
 @pytest.mark.slow
 def test_a_place_off_the_body_is_refused():
-    found, _ = lanes_of("curvature")
+    found = lanes_of("curvature").found
     assert codes(found.status)[2:] == [Status.unphysical] * 2
     assert np.all(np.isnan(found.tip_angle[2:]))
