@@ -20,6 +20,7 @@ from cddf_jax.batch.work import Memory
 from cddf_jax.cli import sweep_options
 from cddf_jax.reports import sweep_report
 from cddf_jax.sweeping import export as sweep_exports
+from cddf_jax.sweeping.sweep import Sweep
 
 PAPER = DATA / "smooth_sil_940.toml"
 LENGTH, G = 0.14, 2.942783188998e4  # m, m^-2, docs/theory.md (16)
@@ -162,6 +163,22 @@ def test_no_success_at_all(run, tmp_path):
     assert (tmp_path / "x.json").exists()
 
 
+def test_the_summary_states_the_loads(tmp_path, monkeypatch):
+    """Nothing is solved: the results are made up."""
+
+    def made_up(work, _):
+        answer = Memory(work.layout).dataset()
+        answer["result"][...] = cddf.Status.crossing
+        return answer
+
+    monkeypatch.setattr(Sweep, "run", made_up)
+    work = read("base_tension=5N,10N", loads=cddf.Loads(gravity=(0.0, -9.81)))
+    found = sweep_report.run_sweep(work, sweep_report.Places(tmp_path / "x.zarr"), {})
+    assert found is not None
+    assert found[1]["results"] == {"crossing": 2}
+    assert found[1]["loads"]["gravity"] == pytest.approx([0.0, -9.81])
+
+
 # --- task files ----------------------------------------------------------------------------------
 
 
@@ -189,6 +206,16 @@ def test_a_task_file_gives_the_options_and_the_command_line_overrides_it(run, tm
         *(("base_tension", 5), ("kinematics", 2), ("youngs_modulus", 3)),
     ]
     assert told["outputs"] == ["tip_tension"]
+
+
+def test_options_that_may_be_repeated_may_also_be_one_text(run, tmp_path):
+    (tmp_path / "task.toml").write_text(f'robot = "{PAPER}"\nover = "base_tension=5N,10N"\ndry_run = true\n')
+    outputs = ("--output", "tip_tension", "--output", "tip_angle, tip_tension")
+    code, text, error = run("--task", "task.toml", *outputs, "--json")
+    assert (code, error) == (0, "")
+    told = json.loads(text)
+    assert [(axis["name"], axis["count"]) for axis in told["axes"]] == [("base_tension", 2)]
+    assert told["outputs"] == ["tip_tension", "tip_angle"]
 
 
 @pytest.mark.parametrize(
@@ -257,6 +284,12 @@ def test_axes_with_units(text, name, values):
 def test_targets_with_units(target, text, values):
     (axis,) = read(f"base_tension.value={text}", base_tension=[target]).dimensions
     np.testing.assert_allclose(axis.numbers["base_tension.value"], values, rtol=1e-14)
+
+
+def test_a_target_beside_a_tension():
+    body = paper_body("exact", num_tendons=2)
+    work = read("base_tension_2.value=10deg,20deg", base_tension=["20 N", "tip_angle=45 deg"], body=body)
+    np.testing.assert_allclose(work.dimensions[0].numbers["base_tension_2.value"], np.radians([10.0, 20.0]))
 
 
 def test_options_as_axes():
@@ -353,6 +386,18 @@ def test_a_full_disk_leaves_no_half_table(monkeypatch, tmp_path):
         with pytest.raises(cddf.InputError, match=r": No space left on device; choose another place"):
             write()
         assert not list(tmp_path.iterdir())
+
+
+def test_a_disk_that_fills_up_leaves_the_summary_on_standard_output(run, monkeypatch, tmp_path):
+    def full(*arguments):
+        raise cddf.InputError("No space left on device", where="x.nc")
+
+    monkeypatch.setattr(sweep_report, "write_netcdf", full)
+    arguments = (PAPER, "--over", "base_tension=5N,10N", "--output", "tip_tension")
+    code, text, error = run(*arguments, "--out", "x.zarr", "--netcdf", "x.nc")
+    assert (code, error) == (2, "error: not written: x.nc: No space left on device\n")
+    assert text.startswith("2 solves in ")
+    assert [path.name for path in tmp_path.iterdir()] == ["x.zarr"]
 
 
 def test_an_interruption(run, monkeypatch):
