@@ -155,7 +155,7 @@ def sweep(
         samples,
         base_tension or [],
         loads=options.loads_of(read, tip_force, tip_moment, gravity, point_load),
-        history=history or False,
+        history=False if history is None else history,
         short_steps=short_steps,
         outputs=tuple(dict.fromkeys(name.strip() for text in output for name in text.split(","))),
         nodes=nodes,
