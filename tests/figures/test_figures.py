@@ -257,7 +257,8 @@ def test_a_figure_looks_the_same_wherever_it_is_shown():
     a_figure().savefig(outside, dpi=100)
     with figures.house_style():
         a_figure().savefig(inside, dpi=100)
-    np.testing.assert_array_equal(*(imread(BytesIO(file.getvalue())) for file in (outside, inside)))
+    one, other = (imread(BytesIO(file.getvalue())) for file in (outside, inside))
+    np.testing.assert_array_equal(one, other)
 
 
 def test_a_file_is_sharp_and_has_the_same_bytes_again(tmp_path):
