@@ -17,7 +17,7 @@ which profile was taken, and every command that reads the body prints it.
 
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -44,7 +44,7 @@ class CrossSections(NamedTuple):
     outer_radius: Profile
     inner_radius: Profile
     tendons: tuple[Tendon, ...]
-    columns: tuple[str, ...]  # how each was read, such as "inner_radius: constant 7 mm"
+    columns: dict[str, str]  # how each was read, such as "constant 7 mm"
 
     @property
     def body(self) -> dict[str, Any]:
@@ -76,14 +76,14 @@ def read_cross_sections(path: str | os.PathLike[str], *, tolerance: float = TOLE
         return _sections(table.columns, table.rows, tolerance)
 
 
-def in_one_line(columns: Sequence[str]) -> str:
+def in_one_line(columns: Mapping[str, str]) -> str:
     """How a table was read, in one line."""
-    return f"cross-sections: {'; '.join(columns)}"
+    return f"cross-sections: {'; '.join(f'{name}: {words}' for name, words in columns.items())}"
 
 
 def _column_in_words(name: str, profile: Profile) -> str:
     """The profile that was taken; for an offset of straight lines also how far they turn the tendon, which rubs."""
-    said = f"{name}: {_in_words(profile)}"
+    said = _in_words(profile)
     if not (name.startswith("offset") and isinstance(profile, Polyline)):
         return said
     angle = np.arctan(np.diff(profile.values) / np.diff(profile.arc_length))
@@ -160,7 +160,7 @@ def _sections(columns: dict[str, np.ndarray], rows: list[int], tolerance: float)
             raise InputError(f"row {rows[count - 1]}, column {name}: the tendon ends in a step; {remedy}")
         profiles[name] = _profile(name, s[:count], distance, tolerance)
         tendons.append(Tendon(profiles[name], side, end=None if s[count - 1] == s[-1] else float(s[count - 1])))
-    said = tuple(_column_in_words(name, profile) for name, profile in profiles.items())
+    said = {name: _column_in_words(name, profile) for name, profile in profiles.items()}
     return CrossSections(float(s[-1]), profiles["outer_radius"], profiles["inner_radius"], tuple(tendons), said)
 
 

@@ -116,13 +116,13 @@ class RobotFile(NamedTuple):
 
     Attributes:
         manipulator: the body, validated.
-        columns: how those of its table of cross-sections were read, in words; none without a table.
+        columns: how those of its table of cross-sections were read, in words; empty without a table.
         offsets_outside_wall: whether tendons may run in the bore or outside the body.
         gravity: (X, Y) or (X, Y, Z) in the frame at the base, m/s^2, as `Loads` takes it; None where the file has none.
     """
 
     manipulator: Manipulator
-    columns: tuple[str, ...]
+    columns: dict[str, str]
     offsets_outside_wall: bool
     gravity: tuple[float, ...] | None = None
 
@@ -152,7 +152,7 @@ def read_robot_file(path: str | os.PathLike[str]) -> RobotFile:
         table = read_toml(path, 'length = "140 mm"')
         _check_top(table)
         outside = _switch(table, "offsets_outside_wall")
-        sections, columns = _read_sections(table, Path(path).parent) if _SECTIONS in table else (_sections(table), ())
+        sections, columns = _read_sections(table, Path(path).parent) if _SECTIONS in table else (_sections(table), {})
         manipulator = _manipulator(table, sections).validate(offsets_outside_wall=outside)
         return RobotFile(manipulator, columns, outside, _gravity(table["gravity"]) if "gravity" in table else None)
 
@@ -298,7 +298,7 @@ def _tables(table: _Table, key: str, one: str) -> list[_Table]:
     return found
 
 
-def _read_sections(table: _Table, folder: Path) -> tuple[dict[str, Any], tuple[str, ...]]:
+def _read_sections(table: _Table, folder: Path) -> tuple[dict[str, Any], dict[str, str]]:
     """The body in the CSV file that is named, with the numbers in the tables of the tendons, and its columns."""
     file, tolerance = _named(table[_SECTIONS], folder)
     sections = read_cross_sections(file, tolerance=tolerance)

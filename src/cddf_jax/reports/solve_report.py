@@ -29,7 +29,7 @@ def solve_report(
     """The equilibrium of a robot; `texts` are the tensions and targets as they were typed."""
     answer = solve_as_dict(equilibrium, actuation, loads)
     if robot.columns:
-        answer["cross_sections"] = {column.name: column.words for column in robot.columns}
+        answer["cross_sections"] = robot.columns
 
     def files() -> dict[str, Content]:
         figure = figures.equilibrium_figure(robot.manipulator, equilibrium, loads)
