@@ -43,7 +43,7 @@ def explore(
     paper = server.papers_manipulator()
     paper = paper if kinematics is None else replace(paper, kinematics=kinematics)
     server.serve(
-        RobotFile(paper, (), False) if read is None else read,
+        RobotFile(paper, {}, False) if read is None else read,
         options.read_data(data, column),
         server.PAPER if robot is None else in_utf8(robot),
         port=port,
