@@ -80,6 +80,15 @@ def anchors(found):
     return 1e3 * np.asarray(found.at(found.arc_length[-1]).path)
 
 
+def test_the_page_shows_what_solve_finds(page, found):
+    for i, (base, tip) in enumerate(zip(found.base_tension, found.tip_tension, strict=True), 1):
+        wait_for(page, f"base_tension_{i}", f"{base:.4g}")
+        wait_for(page, f"tip_tension_{i}", f"{tip:.4f}")
+    wait_for(page, "tip_angle", f"{np.degrees(found.tip_angle):.3f}")
+    for axis, place in zip("xyz", 1e3 * np.asarray(found.tip_position), strict=True):
+        wait_for(page, f"tip_{axis}", f"{place:.3f}")
+
+
 @pytest.mark.parametrize(("plane", "right", "up"), [("XY", 0, 1), ("XZ", 0, 2), ("YZ", 1, 2)])
 def test_plane_views_show_coordinates_in_mm(page, found, plane, right, up):
     np.testing.assert_allclose(ends_of(page, f"view_{plane}"), anchors(found)[:, [right, up]], atol=1e-6)

@@ -80,6 +80,12 @@ def test_a_softer_law_is_within_its_error(pair, monkeypatch):
     assert np.all(np.maximum(apart, np.abs(soft.tip_angle - pair.tip_angle)) < 1e-3)
 
 
+@pytest.mark.slow
+def test_refined_antagonists_meet_the_table():
+    rough, fine = (cddf.trace(PAIR, PATH, nodes=22, short_steps=count).tip_angle for count in (32, 64))
+    np.testing.assert_allclose(np.degrees(2 * fine - rough), ANGLES, atol=0.005)  # the error falls with the steps
+
+
 THREE = replace(PAIR, tendons=(cddf.Tendon(0.010), cddf.Tendon(0.008, side=-1), cddf.Tendon(0.006)))
 
 

@@ -36,7 +36,6 @@ OF_STEPS = (  # columns of a history
     *("base_tension", "tip_tension", "tip_angle", "tip_position", "tendon_displacement", "direction", "front"),
     *("num_turns", "error_estimate"),
 )
-OF_PARAMETERS = ("parameter", "value", "standard_error", "lower", "upper", "unit", "status")  # columns of a fit
 # columns of tables: a body in the plane has a heading, one in space has frame, twist and path
 ALONG = ("heading", "frame", "curvature", "twist", "tension", "normal_force", "friction_force", "path")
 
@@ -103,7 +102,7 @@ def as_frame(what: Equilibrium | History | Determination | Measurements | Plan) 
         case History():
             return pandas.DataFrame(history_columns(history_numbers(what)))
         case Determination():
-            return pandas.DataFrame(parameter_rows(what), columns=list(OF_PARAMETERS)).set_index("parameter")
+            return pandas.DataFrame(_parameters(what)).set_index("parameter")
         case Measurements():
             trials = [what.trial_labels[int(code)] for code in what["trial"]] if "trial" in what.columns else []
             known: dict[str, Dimension | None] = {name: column_dimension(name) for name in what.columns}
@@ -185,8 +184,7 @@ def _stations(equilibrium: Equilibrium, arc_length: ArrayLike | Sequence[float] 
     return s
 
 
-def parameter_rows(found: Determination) -> list[tuple[str, float, float, float, float, str, str]]:
-    """The columns `OF_PARAMETERS` of each parameter and each combination, SI; NaN for a value not identified."""
+def _parameters(found: Determination) -> list[dict[str, str | float]]:
     rows = []
     for name, status in found.status.items():
         value = np.nan if status == NOT_IDENTIFIED else found.value[name]
@@ -194,4 +192,5 @@ def parameter_rows(found: Determination) -> list[tuple[str, float, float, float,
         rows.append((name, value, found.standard_error[name], lower, upper, unit_of(name), status))
     for name, (value, error, (low, high)) in found.identified_together.items():
         rows.append((name, value, error, low, high, unit_of(name), IDENTIFIED))
-    return rows
+    heads = ("parameter", "value", "standard_error", "lower", "upper", "unit", "status")
+    return [dict(zip(heads, row, strict=True)) for row in rows]

@@ -17,13 +17,12 @@ from ..files.writing import markdown_table, picked
 from ..identification.curves import tables_without_numbers
 from ..identification.fit import Fit
 from ..identification.parameters import TRIALS, unit_of
-from ..identification.verdict import shown_unit
+from ..identification.verdict import parameter_shown, shown_unit
 from ..measurements.columns import column_dimension
 from ..measurements.table import Measurements
 from ..progress import each, stage
 from ..robot.manipulator import Manipulator
 from ..units import preferred, shown
-from .export import parameter_rows
 from .report import Content, Report, versions
 
 if TYPE_CHECKING:
@@ -189,22 +188,27 @@ def _in_short(fit: Fit) -> list[str]:
     if simulated := _simulated_names(fit):
         lines += ["", f"The data are simulated: {simulated}."]
     head = ("parameter", "value", "standard error", "95 % interval", "status")
-    return ["# What the measurements determine", "", *lines, "", *markdown_table(head, _parameters(fit))]
+    return ["# What the measurements determine", "", *lines, "", *markdown_table(head, parameter_rows(fit))]
 
 
 def _simulated_names(fit: Fit) -> str:
     return ", ".join(table.name for table in fit.tables if table.simulated)
 
 
-def _parameters(fit: Fit) -> list[list[str]]:
+def parameter_rows(determination: Determination) -> list[list[str]]:
     """Name, value, standard error, interval and status of each parameter and combination."""
     rows = []
-    for name, *numbers, unit, status in parameter_rows(fit):
-        scale, unit = shown_unit(name) if name in fit.status else (1.0, f" {unit}")
-        value, error, low, high = (scale * number for number in numbers)
+    for name, status in determination.status.items():
+        if status == NOT_IDENTIFIED:
+            rows.append([name, "-", "-", "-", status])
+            continue
+        value, error, low, high, unit = parameter_shown(determination, name)
         spread = [f"{error:.2g}{unit}", f"{low:.5g} to {high:.5g}{unit}"] if np.isfinite(error) else ["-", "-"]
-        known = status != NOT_IDENTIFIED
-        rows.append([name, *([f"{value:.5g}{unit}", *spread] if known else "---"), status])
+        rows.append([name, f"{value:.5g}{unit}", *spread, status])
+    for name, (value, error, (low, high)) in determination.identified_together.items():
+        unit = unit_of(name)
+        numbers = f"{value:.5g} {unit}", f"{error:.2g} {unit}", f"{low:.5g} to {high:.5g} {unit}"
+        rows.append([name, *numbers, "identified"])
     return rows
 
 
