@@ -426,7 +426,7 @@ def test_a_tip_tension_is_reached():
 def test_derivatives():
     """In both modes, against differences so small that no tendon begins to slide or to rest in another element.
 
-    In the second step the tendons rest together, and hold tensions that rounding moves by 1e-11 of their size.
+    In the second step the tendons rest together, and hold tensions that rounding moves by 1e-10 of their size.
     """
 
     def found(numbers):
@@ -435,14 +435,14 @@ def test_derivatives():
         history = cddf.trace(body, path, short_steps=4, nodes=8, estimate_error=False)
         return jnp.concatenate([history.tip_angle[1:], history.tip_tension[1:].ravel()])
 
-    at, step, derivatives = np.array([0.42, 1.0, 1.0]), 3e-6, both_modes(found)
+    at, step, derivatives = np.array([0.42, 1.0, 1.0]), 2e-5, both_modes(found)
     ends = [(derivatives(at + step * unit)[0], derivatives(at - step * unit)[0]) for unit in np.eye(3)]
     differences = np.stack([(above - below) / (2 * step) for above, below in ends], axis=1)
     sizes = np.max(np.abs(differences), axis=1, keepdims=True)
     for slopes in derivatives(at)[1:]:
         off = np.abs(slopes - differences) / sizes
         assert np.all(off[:4] < 1e-6), off
-        assert np.all(off[4:] < 2e-5), off  # 1e-11 over the step
+        assert np.all(off[4:] < 1e-5), off  # 1e-10 over the step
 
 
 @pytest.mark.slow

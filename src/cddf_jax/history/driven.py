@@ -67,7 +67,6 @@ def driven(
         tensions, values, headings: base tension, N, quantity, and heading of the tip at the turns of the stack.
         first_step: the number of the first step.
     """
-
     constant = jax.lax.stop_gradient(body)
     in_space = body.in_space and quantity == "tip_angle"
     at_rest = _heading_at_rest(body, nodes, wanted) if in_space else None

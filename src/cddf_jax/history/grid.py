@@ -170,22 +170,13 @@ def cut_into_elements(
     none = jnp.zeros_like(starts)
     behind, ahead = jnp.concatenate([none, widths], axis=1), jnp.concatenate([widths, none], axis=1)
     sections = jax.vmap(partial(guarded_section, manipulator))(inside.ravel())
-    compliance = manipulator.tendon_compliance
+    compliance, free = manipulator.tendon_compliance, manipulator.tendon_outside_compliance
     outside, places, weights, widths = None, places.ravel(), ((behind + ahead) / 2).ravel(), ahead.ravel()
     if manipulator.rubs_outside:
         places, sections = jax.tree.map(lambda x: jnp.concatenate([x[:1], x]), (places, sections))
         weights, widths = (jnp.concatenate([jnp.zeros_like(x[:1]), x]) for x in (weights, widths))
         outside = _outside(manipulator, places.size)
-    grid = Grid(
-        manipulator,
-        places,
-        sections,
-        weights,
-        widths,
-        compliance,
-        manipulator.tendon_outside_compliance,
-        outside,
-    )
+    grid = Grid(manipulator, places, sections, weights, widths, compliance, free, outside)
     # where tendons that do not stretch rest together, their tensions are those of equal, very stiff tendons
     stiffest = STIFFEST * grid.softness / grid.places[-1]
     return eqx.tree_at(lambda grid: grid.stretch, grid, jnp.maximum(compliance, stiffest))
@@ -236,8 +227,7 @@ class Missing(NamedTuple):
     slip: PerTendon  # m
     heading: Array | None
     moment: Array | None  # N m
-    drop: PerTendon  # D = T_k - T_k+1, N
-    limit: PerTendon  # C, the largest |D|, N
+    limit: PerTendon  # C, the largest |T_k - T_k+1|, N
 
 
 class Along(NamedTuple):
@@ -286,4 +276,4 @@ def missing(grid: Grid, element: Element, start: Node, end: Node) -> Missing:
         heading = end.heading - geometry.turned_on(start.heading, element.width * there.strain)
         moment = end.moment - start.moment - geometry.moment_rate(there.step, element.force) + element.moment
     slip = start.slip - end.slip - element.weight * there.slip_rate
-    return Missing(slip, heading, moment, start.tension - end.tension, limit)
+    return Missing(slip, heading, moment, limit)

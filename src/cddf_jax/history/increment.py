@@ -1,12 +1,14 @@
 """One increment of a path, solved for all nodes at once by Newton's method.
 
-Each tendon obeys Coulomb's law in every element: the jump of its tension is a share z of the limit of friction, between
--1 and 1, which changes only while the tendon slips, and reaches the ends where it slides. The law is softened by a very
-small elastic slip e: z = x / (1 + x^p)^(1/p) with a large even p, where x grows by dw / e with the slip dw. Newton's
-method treats z as an unknown of its own (primal-dual), so that it hardly overshoots. Where it does not settle at once
-with the small e, as at a turn, it goes from a large e to the small one (continuation).
+Each tendon obeys Coulomb's law in every element: the jump of its tension is a share z of the limit of friction,
+between -1 and 1, which changes only while the tendon slips, and reaches the ends where it slides. The law is softened
+by a very small elastic slip e: z = x / (1 + x^p)^(1/p) with a large even p, where x grows by dw / e with the slip dw.
+Newton's method treats z as an unknown of its own (primal-dual), so that it hardly overshoots. Most rounds only find
+which elements slide: so at first the slopes of the mechanics stay for some rounds, which halves the time of a step.
+Where it does not settle with the small e, as at a turn, it goes from a large e to the small one (continuation).
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -20,11 +22,12 @@ from jaxtyping import Array, Bool, Float, Int
 from ..numerics import tolerances as tol
 from ..numerics.arrays import all_finite, largest_size, varying_as, zero_as
 from ..numerics.fixed_point import slope_along, solve_small
-from .grid import Element, Given, Goal, Grid, Node, missing
+from .grid import Element, Given, Goal, Grid, Missing, Node, missing
 
 FOUND = "found"  # the name of what Newton's method finds, which the reverse mode keeps
 Number = Float[Array, ""]
 PerElement = Float[Array, "K tendons"]
+ByNodes = Float[Array, "K rows 2 unknowns"]  # derivatives of the residuals of elements by the nodes at both ends
 
 
 class OnGrid(NamedTuple):
@@ -61,7 +64,6 @@ class _Search(NamedTuple):
     share: PerElement  # z, an unknown of its own
     elastic: Number  # e, m
     rounds: Number  # in this attempt
-    change: Number  # in the last round
     attempt: Number
     done: Bool[Array, ""]
 
@@ -85,7 +87,17 @@ def _after_increment(setting: Setting) -> tuple[Node, PerElement, Bool[Array, ""
     def unfinished(state: _Search) -> Bool[Array, ""]:
         return ~state.done & (state.attempt < len(tol.ATTEMPTS))
 
-    end = jax.lax.while_loop(unfinished, partial(_round, setting, start), _begun(setting, start, zero_as(setting)))
+    def rounds(first: _Search) -> _Search:
+        """Some rounds with the same slopes of the mechanics."""
+        slopes = _missing_of_all(setting, first.nodes, jax.jacrev)
+        until = first.rounds + _attempt(setting, first.attempt).slopes
+
+        def goes_on(state: _Search) -> Bool[Array, ""]:
+            return unfinished(state) & (state.attempt == first.attempt) & (state.rounds < until)
+
+        return jax.lax.while_loop(goes_on, partial(_round, setting, start, slopes), first)
+
+    end = jax.lax.while_loop(unfinished, rounds, _begun(setting, start, zero_as(setting)))
     nodes = jax.tree.map(partial(jnp.where, end.done), end.nodes, start)  # finite in either case
     return nodes, _share(setting, nodes, end.elastic), end.done & setting.before.converged, end.elastic
 
@@ -98,26 +110,28 @@ class _Attempt(NamedTuple):
     factor: Number  # on the elastic slip
     rough: Number  # change in a round, below which the elastic slip becomes smaller
     rounds: Number  # at most
+    slopes: Number  # rounds for which the slopes of the mechanics stay
 
 
 def _attempt(setting: Setting, number: Number) -> _Attempt:
     rows = jnp.asarray(tol.ATTEMPTS, number.dtype)
-    found = _Attempt(*rows[jnp.minimum(number, len(tol.ATTEMPTS) - 1).astype(int)])
-    return found._replace(first=_elastic(setting, found.first), last=_elastic(setting, found.last))
+    found, scale = _Attempt(*rows[jnp.minimum(number, len(rows) - 1).astype(int)]), setting.grid.scale
+    return found._replace(first=found.first * scale, last=found.last * scale)
 
 
 def _begun(setting: Setting, start: Node, attempt: Number) -> _Search:
     """The start of an attempt, in which tendons that slide are expected to slide on."""
     none, share = 0.0 * attempt, setting.before.share + 0.0 * attempt
-    first = _attempt(setting, attempt).first
-    return _Search(start, _strain_of(share), share, first, none, none + jnp.inf, attempt, none > 0)
+    return _Search(start, _strain_of(share), share, _attempt(setting, attempt).first, none, attempt, none > 0)
 
 
-def _round(setting: Setting, start: Node, state: _Search) -> _Search:
+def _round(setting: Setting, start: Node, slopes: Missing, state: _Search) -> _Search:
     """One Newton step; then a smaller elastic slip, or another attempt."""
-    law, attempt = _law(setting, state), _attempt(setting, state.attempt)
-    change = _correction(setting, state.nodes, law, _rows_of_all(setting, state.nodes, law))
-    halved = (state.rounds > tol.PATIENCE) & (state.rounds % 3 == 0)  # where steps go round in a circle
+    law, attempt = _law(state.strain, state.share, state.nodes, state.elastic), _attempt(setting, state.attempt)
+    lacks = _missing_of_all(setting, state.nodes)
+    by_nodes = _by_nodes(setting, state.nodes, law, lacks, slopes)
+    change = _correction(setting, state.nodes, by_nodes, _rows_of_all(setting, state.nodes, law, lacks))
+    halved = (state.rounds // tol.PATIENCE) % 2 > 0  # where steps go round in a circle
     part = jnp.where(halved, 0.5, 1.0)
     nodes = jax.tree.map(lambda x, dx: x + part * dx, state.nodes, change)
     share = jnp.clip(law.level + part * law.slope * change.slip[1:], -1.0, 1.0)
@@ -125,7 +139,7 @@ def _round(setting: Setting, start: Node, state: _Search) -> _Search:
     elastic = jnp.maximum(jnp.where(size < attempt.rough, attempt.factor, 1.0) * state.elastic, attempt.last)
     done = (state.elastic <= attempt.last) & ~halved & (size < tol.INCREMENT)
     strain = _strain(setting, nodes, elastic)
-    onward = _Search(nodes, strain, share, elastic, state.rounds + 1, size, state.attempt, done)
+    onward = _Search(nodes, strain, share, elastic, state.rounds + 1, state.attempt, done)
     stuck = ~done & (~all_finite(size) | (state.rounds >= attempt.rounds))
     again = _begun(setting, start, state.attempt + 1)
     return jax.tree.map(lambda a, b: jnp.where(stuck, a, b), again, onward)
@@ -135,19 +149,19 @@ def _round(setting: Setting, start: Node, state: _Search) -> _Search:
 def _(primals, tangents):
     (setting,), (direction,) = primals, tangents
     nodes, share, _, least = found = checkpoint_name(_after_increment(setting), FOUND)
-    none = jnp.zeros_like(nodes.tension[0, 0])
 
     def law_of(setting: Setting) -> _Law:
-        strain = _strain(setting, nodes, least)
-        law = _law(setting, _Search(nodes, strain, share, least, none, none, none, none > 0))
+        law = _law(_strain(setting, nodes, least), share, nodes, least)
         return law._replace(slope=jax.lax.stop_gradient(law.slope))  # it only scales what is zero
 
     def rows(setting: Setting):
         there = _with_ends(setting, nodes)
-        return _rows_of_all(setting, there, law_of(setting)), there
+        return _rows_of_all(setting, there, law_of(setting), _missing_of_all(setting, there)), there
 
     pushed, moved = slope_along(rows, setting, direction)
-    change = jax.tree.map(jnp.add, moved, _correction(setting, nodes, law_of(setting), pushed))
+    lacks, slopes = (_missing_of_all(setting, nodes, taken) for taken in (lambda of: of, jax.jacrev))
+    by_nodes = _by_nodes(setting, nodes, law_of(setting), lacks, slopes)
+    change = jax.tree.map(jnp.add, moved, _correction(setting, nodes, by_nodes, pushed))
     shares = slope_along(lambda both: _share(*both, least), (setting, nodes), (direction, change))
     return found, (change, shares, None, 0.0 * least)
 
@@ -157,19 +171,9 @@ def _strain_of(share: PerElement) -> PerElement:
     return share / jnp.maximum(1.0 - share**tol.CORNER, tol.SLIDING) ** (1 / tol.CORNER)
 
 
-def _share_of(strain: PerElement) -> PerElement:
-    """z, of x."""
-    return strain / _size_of(strain)
-
-
 def _size_of(strain: PerElement) -> PerElement:
     """The quotient x / z."""
     return (1.0 + strain**tol.CORNER) ** (1 / tol.CORNER)
-
-
-def _elastic(setting: Setting, part: Number | float) -> Number:
-    """An elastic slip, m, from its part of the largest offset."""
-    return jax.lax.stop_gradient(part * setting.grid.scale)
 
 
 def _strain(setting: Setting, nodes: Node, elastic: Number) -> PerElement:
@@ -178,17 +182,17 @@ def _strain(setting: Setting, nodes: Node, elastic: Number) -> PerElement:
     return _strain_of(setting.before.share) + slid / elastic
 
 
-def _law(setting: Setting, state: _Search) -> _Law:
-    level = _share_of(state.strain)
-    slope = (1.0 - state.share * level ** (tol.CORNER - 1)) / (_size_of(state.strain) * state.elastic)
-    return _Law(level, slope, state.nodes.slip[1:], state.share)
+def _law(strain: PerElement, share: PerElement, nodes: Node, elastic: Number) -> _Law:
+    level = strain / _size_of(strain)
+    slope = (1.0 - share * level ** (tol.CORNER - 1)) / (_size_of(strain) * elastic)
+    return _Law(level, slope, nodes.slip[1:], share)
 
 
 def _share(setting: Setting, nodes: Node, elastic: Number) -> PerElement:
     """z; a tendon without tension forgets it."""
-    share = _share_of(_strain(setting, nodes, elastic))
+    strain = _strain(setting, nodes, elastic)
     taut = jnp.maximum(nodes.tension[:-1], nodes.tension[1:]) > 0
-    return jnp.where(taut, share, 0.0)
+    return jnp.where(taut, strain / _size_of(strain), 0.0)
 
 
 def _with_ends(setting: Setting, nodes: Node) -> Node:
@@ -220,24 +224,50 @@ class Rows(NamedTuple):
     driven: Float[Array, " driven"]  # m
 
 
-def _rows_of_all(setting: Setting, nodes: Node, law: _Law) -> Rows:
-    elements = setting.grid.elements(setting.given, setting.before.held)
-    rows = jax.vmap(partial(_rows, setting.grid))(elements, law, *_ends_of_elements(nodes))
+def _rows_of_all(setting: Setting, nodes: Node, law: _Law, lacks: Missing) -> Rows:
+    rows = jax.vmap(partial(_rows, setting.grid, nodes))(law, _at_ends(nodes), lacks)
     return Rows(rows, _driven_gap(setting, nodes))
 
 
-def _ends_of_elements(nodes: Node) -> tuple[Node, Node]:
-    return jax.tree.map(lambda x: x[:-1], nodes), jax.tree.map(lambda x: x[1:], nodes)
+def _at_ends(nodes: Node) -> Float[Array, "K 2 unknowns"]:
+    """The unknowns at both ends of each element."""
+    flat = jax.vmap(lambda node: ravel_pytree(node)[0])(nodes)
+    return jnp.stack([flat[:-1], flat[1:]], axis=1)
 
 
-def _rows(grid: Grid, element: Element, law: _Law, start: Node, end: Node) -> Array:
+def _node(nodes: Node, unknowns: Array) -> Node:
+    """One node, from its unknowns."""
+    return ravel_pytree(jax.tree.map(lambda x: x[0], nodes))[1](unknowns)
+
+
+def _missing_of_all(setting: Setting, nodes: Node, taken: Callable = lambda of: of) -> Missing:
+    """What is missing in all elements; with `jax.jacrev` its slopes by the nodes at both ends, the last two axes."""
+
+    def of(both: Array, element: Element) -> Missing:
+        return missing(setting.grid, element, *map(partial(_node, nodes), both))
+
+    elements = setting.grid.elements(setting.given, setting.before.held)
+    return jax.vmap(taken(of))(_at_ends(nodes), elements)
+
+
+def _by_nodes(setting: Setting, nodes: Node, law: _Law, lacks: Missing, slopes: Missing) -> ByNodes:
+    """The derivatives of the residuals, from those of what is missing."""
+
+    def of(law: _Law, both: Array, lacks: Missing, slopes: Missing) -> Array:
+        push = jax.linearize(partial(_rows, setting.grid, nodes, law), both, lacks)[1]
+        units = jnp.eye(both.size, dtype=both.dtype).reshape(*both.shape, *both.shape)
+        return jax.vmap(jax.vmap(push, -1, -1), -2, -2)(units, slopes)
+
+    return jax.vmap(of)(law, _at_ends(nodes), lacks, slopes)
+
+
+def _rows(grid: Grid, nodes: Node, law: _Law, both: Array, lacks: Missing) -> Array:
     """The residuals of an element."""
-    lacks = missing(grid, element, start, end)
-    limit = lacks.limit
+    start, end, limit = *map(partial(_node, nodes), both), lacks.limit
     if grid.sections.drag is not None or grid.outside is not None:  # it takes no more than the tension
         left = jnp.maximum(start.tension, 0.0)
         limit = jnp.where((law.share > 0) & (limit > left), left, limit)
-    coulomb = lacks.drop - limit * (law.level + law.slope * (end.slip - law.slip))
+    coulomb = start.tension - end.tension - limit * (law.level + law.slope * (end.slip - law.slip))
     parts = lacks.slip / grid.scale, coulomb / (1.0 + law.slope * grid.scale), lacks.heading, lacks.moment
     return jnp.concatenate([jnp.ravel(part) for part in parts if part is not None])
 
@@ -257,29 +287,9 @@ def tendons_of(driven: tuple[Goal, ...]) -> Int[Array, " driven"]:
     return jnp.asarray([goal.tendon for goal in driven], int)
 
 
-def _flat(node: Node) -> tuple[Array, Array]:
-    """What the march from the base knows, and what it seeks."""
-    return ravel_pytree((node.tension, node.heading))[0], ravel_pytree((node.slip, node.moment))[0]
-
-
-def _node(like: Node, known: Array, sought: Array) -> Node:
-    """The inverse of `_flat`; `like` has the shapes of all nodes."""
-    one = jax.tree.map(lambda x: x[0], like)
-    tension, heading = ravel_pytree((one.tension, one.heading))[1](known)
-    slip, moment = ravel_pytree((one.slip, one.moment))[1](sought)
-    return Node(tension, heading, slip, moment)
-
-
-def _correction(setting: Setting, nodes: Node, law: _Law, missed: Rows) -> Node:
+def _correction(setting: Setting, nodes: Node, by_nodes: ByNodes, missed: Rows) -> Node:
     """The change of all unknowns that makes the residuals zero to first order; linear in the residuals."""
-
-    def rows(element: Element, law: _Law, known: Array, sought: Array, known_end: Array, sought_end: Array) -> Array:
-        return _rows(setting.grid, element, law, _node(nodes, known, sought), _node(nodes, known_end, sought_end))
-
-    starts, ends = map(jax.vmap(_flat), _ends_of_elements(nodes))
-    elements = setting.grid.elements(setting.given, setting.before.held)
-    slopes = jax.vmap(jax.jacrev(rows, (2, 3, 4, 5)))(elements, law, *starts, *ends)
-    factors = _eliminated(nodes, slopes)
+    factors = _eliminated(nodes, by_nodes)
     (change,) = _swept(nodes, factors, missed.elements[:, :, None], jnp.zeros((1, 1)))
     if not setting.driven:
         return change
@@ -299,17 +309,18 @@ class _Factors(NamedTuple):
     by_sought_at_end: Float[Array, "K rows sought"]  # of all unknowns of an element
 
 
-def _eliminated(nodes: Node, slopes: tuple) -> _Factors:
+def _eliminated(nodes: Node, by_nodes: ByNodes) -> _Factors:
     """Block elimination: what is known at the end of each element is a linear function of what is sought there."""
-    known, sought = (x.size for x in jax.eval_shape(_flat, jax.tree.map(lambda x: x[0], nodes)))
+    known = sum(x[0].size for x in (nodes.tension, nodes.heading) if x is not None)  # the first unknowns of a node
+    sought = by_nodes.shape[-1] - known
 
-    def outwards(by_sought: Array, slopes: tuple) -> tuple[Array, _Factors]:
-        by_known, by_start, by_known_end, by_end = slopes
+    def outwards(by_sought: Array, both: Array) -> tuple[Array, _Factors]:
+        (by_known, by_start), (by_known_end, by_end) = (jnp.split(both[:, end], [known], axis=1) for end in range(2))
         inverse = jnp.linalg.inv(jnp.concatenate([by_known_end, by_start + by_known @ by_sought], axis=1))
         of_end = -inverse @ by_end
         return of_end[:known], _Factors(inverse, by_known, of_end)
 
-    return jax.lax.scan(outwards, zero_as(slopes) + jnp.zeros((known, sought)), slopes)[1]
+    return jax.lax.scan(outwards, zero_as(by_nodes) + jnp.zeros((known, sought)), by_nodes)[1]
 
 
 def _swept(nodes: Node, factors: _Factors, missed: Float[Array, "K rows columns"], start: Array) -> list[Node]:
@@ -336,5 +347,5 @@ def _swept(nodes: Node, factors: _Factors, missed: Float[Array, "K rows columns"
     here = jax.lax.scan(back, last, (factors.by_sought_at_end, values), reverse=True)[1]
     all_known = jnp.concatenate([start[None], here[:, :known]])
     all_sought = jnp.concatenate([here[:, known:], last[None]])
-    one = jax.vmap(partial(_node, nodes))
-    return [one(all_known[..., column], all_sought[..., column]) for column in range(count)]
+    all_unknowns = jnp.concatenate([all_known, all_sought], axis=1)
+    return [jax.vmap(partial(_node, nodes))(all_unknowns[..., column]) for column in range(count)]
