@@ -90,7 +90,8 @@ def _after_increment(setting: Setting) -> tuple[Node, PerElement, Bool[Array, ""
     def rounds(first: _Search) -> _Search:
         """Some rounds with the same slopes of the mechanics."""
         slopes = _missing_of_all(setting, first.nodes, jax.jacrev)
-        until = first.rounds + _attempt(setting, first.attempt).slopes
+        smooth = setting.before.held is None  # a cross-section with friction of its own holds or follows
+        until = first.rounds + (_attempt(setting, first.attempt).slopes if smooth else 1.0)
 
         def goes_on(state: _Search) -> Bool[Array, ""]:
             return unfinished(state) & (state.attempt == first.attempt) & (state.rounds < until)
