@@ -90,11 +90,10 @@ def _after_increment(setting: Setting) -> tuple[Node, PerElement, Bool[Array, ""
     def rounds(first: _Search) -> _Search:
         """Some rounds with the same slopes of the mechanics."""
         slopes = _missing_of_all(setting, first.nodes, jax.jacrev)
-        smooth = setting.before.held is None  # a cross-section with friction of its own holds or follows
-        until = first.rounds + (_attempt(setting, first.attempt).slopes if smooth else 1.0)
+        kept = 1.0 if setting.before.held is not None else _attempt(setting, first.attempt).slopes  # held: not smooth
 
         def goes_on(state: _Search) -> Bool[Array, ""]:
-            return unfinished(state) & (state.attempt == first.attempt) & (state.rounds < until)
+            return unfinished(state) & (state.attempt == first.attempt) & (state.rounds < first.rounds + kept)
 
         return jax.lax.while_loop(goes_on, partial(_round, setting, start, slopes), first)
 
