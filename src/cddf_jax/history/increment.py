@@ -88,9 +88,9 @@ def _after_increment(setting: Setting) -> tuple[Node, PerElement, Bool[Array, ""
         return ~state.done & (state.attempt < len(tol.ATTEMPTS))
 
     def rounds(first: _Search) -> _Search:
-        """Some rounds with the same slopes of the mechanics."""
+        """Some rounds with the same slopes of the mechanics; one only with friction of the body, which is not smooth."""
         slopes = _missing_of_all(setting, first.nodes, jax.jacrev)
-        kept = 1.0 if setting.before.held is not None else _attempt(setting, first.attempt).slopes  # held: not smooth
+        kept = _attempt(setting, first.attempt).slopes if setting.before.held is None else 1.0
 
         def goes_on(state: _Search) -> Bool[Array, ""]:
             return unfinished(state) & (state.attempt == first.attempt) & (state.rounds < first.rounds + kept)
@@ -159,7 +159,7 @@ def _(primals, tangents):
         return _rows_of_all(setting, there, law_of(setting), _missing_of_all(setting, there)), there
 
     pushed, moved = slope_along(rows, setting, direction)
-    lacks, slopes = (_missing_of_all(setting, nodes, taken) for taken in (lambda of: of, jax.jacrev))
+    lacks, slopes = _missing_of_all(setting, nodes), _missing_of_all(setting, nodes, jax.jacrev)
     by_nodes = _by_nodes(setting, nodes, law_of(setting), lacks, slopes)
     change = jax.tree.map(jnp.add, moved, _correction(setting, nodes, by_nodes, pushed))
     shares = slope_along(lambda both: _share(*both, least), (setting, nodes), (direction, change))

@@ -55,8 +55,8 @@ LEAST_TURN = 1e-11  # rad: below it the turn of a tendon counts as this, so that
 ELASTIC = 1e-7  # of the largest offset, by which a tendon moves in an element before it slides
 CORNER = 16  # p of the softened law: the higher, the sharper its corner between rest and sliding
 SLIDING = 1e-9  # of 1 - z^p: a tendon with less slides; of z it is 6e-11, by which a body creeps where nothing changes
-INCREMENT = 1e-10  # relative change in a round that has settled: slips to a hundredth of the elastic one
-PATIENCE = 20  # rounds, after which as many are damped
+INCREMENT = 1e-10  # relative change in a round that has settled: slips to a thousandth of the elastic one
+PATIENCE = 20  # rounds with whole steps; then as many with half of them, and so on
 # elastic slip at first and at last, of the largest offset; factor on it after a round of a smaller change than the next
 # number; most rounds; rounds for which the slopes of the mechanics stay
 ATTEMPTS = (
