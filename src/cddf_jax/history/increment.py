@@ -88,7 +88,7 @@ def _after_increment(setting: Setting) -> tuple[Node, PerElement, Bool[Array, ""
         return ~state.done & (state.attempt < len(tol.ATTEMPTS))
 
     def rounds(first: _Search) -> _Search:
-        """Some rounds with the same slopes of the mechanics; one only with friction of the body, which is not smooth."""
+        """Some rounds with the same slopes of the mechanics; one with friction of the body, which is not smooth."""
         slopes = _missing_of_all(setting, first.nodes, jax.jacrev)
         kept = _attempt(setting, first.attempt).slopes if setting.before.held is None else 1.0
 
