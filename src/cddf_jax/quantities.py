@@ -104,6 +104,7 @@ _ALL = (
     Quantity("tip_position", "length", "position of the tip"),
     Quantity("tip_frame", "dimensionless", "axes of the tip, in columns"),
     *(Quantity(f"tip_{axis}", "length", title=f"Tip position {axis.upper()}") for axis in "xyz"),
+    *(Quantity(f"tip_axis_{axis}", "dimensionless", f"{axis.upper()} of the direction of the tip") for axis in "xyz"),
     *(Quantity(f"tip_stiffness{axis}", "stiffness") for axis in ("", "_x", "_y", "_z")),
     Quantity("tip_twist", "curvature", "twist at the tip"),
     Quantity("base_moment", "moment", "moment of the loads at the base"),

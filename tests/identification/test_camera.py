@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from bodies import paper_body
+from kinds import bench_of
+from refusals import refused
 from scipy.spatial.transform import Rotation
 
 import cddf_jax as cddf
@@ -129,3 +131,22 @@ def test_poses_of_three_tendons_in_the_frame_of_a_tracker():
     assert not fit.success
     assert "left-handed, change the sign of one axis" in fit.result
     assert "identified" not in fit.status.values()
+
+
+def test_the_direction_of_the_tip_turns_with_the_camera_and_does_not_move():
+    """Turned by SciPy; against the frame of the tip that `solve` gives."""
+    body = dataclasses.replace(paper_body("exact"), tendons=(cddf.Tendon(0.01, angle=1.0),))
+    axes = {f"tip_axis_{axis}": [0.0] for axis in "xyz"}
+    table = cddf.Measurements.from_columns("zeros", base_tension=[30.0], **axes)
+    turn = {"camera_turn_x": 0.4, "camera_turn_y": -1.0, "camera_turn_z": -0.9, "camera_x": 0.3}
+    shown = bench_of(table, body).evaluate(body, turn, 16).readings
+    found = cddf.solve(body, 30.0)
+    expected = Rotation.from_rotvec([0.4, -1.0, -0.9]).apply(np.array(found.tip_frame)[:, 0])
+    np.testing.assert_allclose([shown[axis][0] for axis in axes], expected, atol=1e-10)
+
+
+def test_a_direction_longer_than_1_is_refused():
+    said = refused(cddf.Measurements.from_columns, "bench", base_tension=[1.0, 2.0], tip_axis_x=[0.9, 90.0])
+    assert said == (
+        "bench: row 2, column tip_axis_x: must be from -1 to 1, got 90; give the parts of a direction of length 1"
+    )

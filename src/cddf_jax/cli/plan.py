@@ -47,7 +47,6 @@ def plan(
     with stage("loading"):
         from ..identification.experiment_design import plan, standard_candidates
         from ..identification.fit import fit
-        from ..measurements.readings import kind_of_set, set_by
         from ..reports.plan_report import plan_report
         from ..units import quantity
         from .fit_options import read_leave_out, read_setting
@@ -62,7 +61,7 @@ def plan(
     if tables:
         rows, followed = read_leave_out(leave_out), "each" if each_from_rest else history
         known = fit(manipulator, tables, names, setting=setting, history=followed, leave_out=rows)
-    driven = [table[name] for table in tables for name in set_by(table.columns) if kind_of_set(name) == "displacement"]
+    driven = [table[own.column][own.rows] for table in tables for own in table.set_columns if own.by_length]
     furthest = max((float(max(values)) for values in driven), default=0.0)
     candidates = standard_candidates(manipulator, largest, setting, furthest if furthest > 0 else None)
     found = plan(known, candidates, names, setting=setting, criterion=criterion, num=num)

@@ -70,7 +70,7 @@ def _tensions(body: Manipulator, tables: Sequence[Measurements], s: np.ndarray) 
     stiffness = evaluated(Manipulator.stiffness, body, s)
     turn = np.max(np.trapezoid(offset / stiffness, s))  # of the tip per tension, without friction
     most = min(2.0 / turn, 0.3 * float(np.min(stiffness / offset**2)))
-    measured = [float(table["base_tension"].max()) for table in tables if "base_tension" in table]
+    measured = [float(np.nanmax(table["base_tension"])) for table in tables if "base_tension" in table]
     high = _above(max([most, *measured]))
     which = [f" {i + 1}" if body.num_tendons > 1 else "" for i in range(body.num_tendons)]
     return [

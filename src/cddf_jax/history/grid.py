@@ -57,8 +57,9 @@ class Outside(NamedTuple):
 class Given(NamedTuple):
     """What acts on the body at one instant."""
 
-    base_tension: PerTendon  # N; not used for a driven tendon
+    base_tension: PerTendon  # N
     goal: PerTendon  # of a driven tendon: what is given in place of its tension, m, rad or N
+    by_goal: PerTendon  # of a driven tendon: 1 where the goal sets it, 0 where its base tension does
     force: Float[Array, "K components"] | None  # N of the loads beyond the middle of each element, N; None without
     moment: Float[Array, "K *components"] | None  # of the loads at points, by the element across which they act, N m
     tip_moment: Array | None  # N m

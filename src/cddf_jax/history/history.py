@@ -16,7 +16,7 @@ from ..mechanics.fields import AnyFields, tendons_first
 from ..numerics.arrays import words_or_shapes
 from ..numerics.given_numbers import check_numbers
 from ..robot.manipulator import Manipulator
-from ..statics.equilibrium import nan_unless
+from ..statics.equilibrium import axis_of_tip, nan_unless
 from ..statics.status import Status, in_words, words_of
 from ..units import Dimension, shown
 
@@ -98,6 +98,11 @@ class History(eqx.Module):
 
     def __str__(self) -> str:
         return words_or_shapes(history_in_words, self)
+
+    @property
+    def tip_axis(self) -> Float[Array, "steps components"]:
+        """The direction in which the tip points, of length 1."""
+        return axis_of_tip(self.tip_angle, self.tip_frame)
 
     def sliding(self, arc_length: ArrayLike | Sequence[ArrayLike]) -> Float[Array, "steps *tendons_and_points"]:
         """+1 where the tendon slid in during the step, -1 where it slid out, 0 where it rested, at arc lengths (m)."""

@@ -273,12 +273,17 @@ def _rows(grid: Grid, nodes: Node, law: _Law, both: Array, lacks: Missing) -> Ar
 
 
 def _driven_gap(setting: Setting, nodes: Node) -> Float[Array, " driven"]:
-    """The readings less the given ones, m; of a displacement, if that is less, the tension of a slack tendon."""
-    grid, found = setting.grid, [jnp.zeros(0, nodes.tension.dtype)]
+    """The readings less the given ones, m; of a displacement, if that is less, the tension of a slack tendon.
+
+    Where its base tension sets a driven tendon, the tension less the given one.
+    """
+    grid, given, found = setting.grid, setting.given, [jnp.zeros(0, nodes.tension.dtype)]
     for goal in setting.driven:
-        missed = grid.as_length(goal) * (grid.reading(nodes, goal) - setting.given.goal[goal.tendon])
-        slack = grid.softness * nodes.tension[0, goal.tendon]
-        found.append((jnp.minimum(missed, slack) if goal.quantity == "displacement" else missed)[None])
+        tendon, tension = goal.tendon, nodes.tension[0, goal.tendon]
+        missed = grid.as_length(goal) * (grid.reading(nodes, goal) - given.goal[tendon])
+        missed = jnp.minimum(missed, grid.softness * tension) if goal.quantity == "displacement" else missed
+        by_tension = grid.softness * (tension - given.base_tension[tendon])
+        found.append(jnp.where(given.by_goal[tendon] > 0, missed, by_tension)[None])
     return jnp.concatenate(found)
 
 

@@ -38,7 +38,7 @@ def at_rest(grid: Grid) -> Instant:
     slip = jnp.cumsum((grid.weights[:, None] * rate)[::-1], axis=0)[::-1]
     nodes = nodes._replace(slip=jnp.concatenate([slip, none[:1]]))
     held = None if grid.manipulator.friction_moment is None else strain
-    given = Given(none[0], none[0], None, None, None)
+    given = Given(none[0], none[0], none[0], None, None, None)
     body = OnGrid(nodes, none[1:], jnp.asarray(True), held, none[0, 0])
     instant = Instant(given, body, none[1:], none[0, 0], none[0, 0])
     return instant._replace(work=stored_in(grid, instant))
@@ -78,7 +78,7 @@ def moved(grid: Grid, driven: tuple[Goal, ...], before: Instant, given: Given) -
         assert old.heading is not None
         assert new.heading is not None
         turn = jax.vmap(grid.geometry.turn_from)(old.heading, new.heading)
-        force, moment, at_tip = jax.tree.map(mean, before.given[2:], given[2:])
+        force, moment, at_tip = jax.tree.map(mean, before.given[3:], given[3:])
         by_loads = jnp.sum(force * steps) + jnp.sum(moment * turn[:-1]) + jnp.sum(at_tip * turn[-1])
     pull = mean(old.tension[0], new.tension[0])
     return Instant(

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from ..numerics.given_numbers import check_numbers
 from ..robot.loads import Loads
@@ -23,8 +23,9 @@ Driven = ArrayLike | AlongAPath | Sequence[ArrayLike | AlongAPath | Sequence[Arr
 class Path(NamedTuple):
     """The given numbers after each step; the axis of steps comes first."""
 
-    tension: Float[Array, "steps tendons"]  # N; zero for a driven tendon
-    goal: Float[Array, "steps tendons"]  # m, rad or N of a driven tendon; zero for a tendon whose tension is given
+    tension: Float[Array, "steps tendons"]  # N; zero where a goal sets the tendon
+    goal: Float[Array, "steps tendons"]  # m, rad or N of a driven tendon; zero where its tension is given
+    by_goal: Float[Array, "steps tendons"]  # 1 where a goal sets the tendon, else 0
     loads: Loads | None
     resting: Loads | None = None  # that act before the first step; without an axis of steps
 
@@ -39,7 +40,13 @@ class Path(NamedTuple):
         if resting is None:
             resting = jax.tree.map(lambda x: jnp.zeros_like(x[0]), self.loads)
         loads = jax.tree.map(lambda x: x[None], resting)
-        return Path(tension[None].astype(self.tension.dtype), jnp.zeros_like(self.goal[:1]), loads, self.resting)
+        none = jnp.zeros_like(self.goal[:1])
+        return Path(tension[None].astype(self.tension.dtype), none, none, loads, self.resting)
+
+    def partly_by_tension(self, flags: Bool[Array, "steps tendons"]) -> "Path":
+        """The same path, but where a flag says so, the goal is a base tension, N."""
+        goal, by_goal = (jnp.where(flags, 0.0, own) for own in (self.goal, self.by_goal))
+        return self._replace(tension=jnp.where(flags, self.goal, self.tension), goal=goal, by_goal=by_goal)
 
     def behind(self, tension: Float[Array, " tendons"]) -> "Path":
         """The same path behind one more step, as in `before`."""
@@ -92,10 +99,11 @@ def given_path(
         TypeError: for targets that drive no tendon along a path.
     """
     tension, goal, driven = _actuation(manipulator, base_tension)
+    by_goal = jnp.zeros_like(goal).at[:, [one.tendon for one in driven]].set(1.0) if driven else 0.0 * goal
     if manipulator.in_space and loads is not None:
         loads = loads.with_components(3) if isinstance(loads, Loads) else [one.with_components(3) for one in loads]
     along = _loads(loads, tension.shape[0], manipulator.in_space)
-    path = Path(tension, goal, along, _resting(loads, along))
+    path = Path(tension, goal, by_goal, along, _resting(loads, along))
     if path.loads is None and any(each.quantity == "tip_angle" for each in driven):
         still = Loads().with_components(manipulator.components)  # the headings are found with the loads
         path = path.under(jax.tree.map(lambda x: jnp.asarray(x, tension.dtype), still))

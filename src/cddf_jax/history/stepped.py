@@ -27,7 +27,7 @@ from ..robot.manipulator import Manipulator
 from ..statics.arguments import harmless, is_physical
 from ..statics.equilibrium import nan_unless
 from ..statics.status import Status, first_of
-from .grid import Given, Goal, Grid, cut_into_elements, loads_on
+from .grid import Given, Goal, Grid, Node, cut_into_elements, loads_on
 from .history import Energies, History, States
 from .increment import FOUND, tendons_of
 from .instants import (
@@ -138,13 +138,10 @@ def _followed(
     """
     zero = zero_as(manipulator, path, halved)  # under shard_map all numbers vary over the devices, or none
     grid = varying_as(cut_into_elements(manipulator, kind.num_elements, _last(path.loads), halved[0]), zero)
-    given = varying_as(jax.vmap(partial(_given, grid))(path.tension, path.goal, path.loads), zero)
+    given = varying_as(jax.vmap(partial(_given, grid))(path.tension, path.goal, path.by_goal, path.loads), zero)
     advance = partial(_advanced, grid, kind.num_increments, halved[1] + zero)
     start = _before_first(grid, path, start, advance, zero)
-    goal = start.given.goal
-    for each in kind.driven:
-        goal = goal.at[each.tendon].set(grid.reading(start.body.nodes, each))
-    start = start._replace(given=start.given._replace(goal=goal))
+    start = start._replace(given=_as_read(grid, kind.driven, start.body.nodes, start.given, 0.0))
     instants = jax.lax.scan(partial(advance, kind.driven), start, given)[1]
     fronts = fronts_of(grid, instants.body.share, instants.slid)
     return instants, jax.vmap(partial(tip_of, grid))(instants), fronts, jax.vmap(partial(crosses, grid))(instants)
@@ -160,7 +157,7 @@ def _before_first(grid: Grid, path: Path, start: Instant | None, advance: Callab
     if resting is None:
         return start
     none = jnp.zeros_like(path.tension[0])
-    first = varying_as(_given(grid, none, none, resting), zero)
+    first = varying_as(_given(grid, none, none, none, resting), zero)
     free = start._replace(body=start.body._replace(held=None))
     return without_friction(grid, advance((), free, first)[0])
 
@@ -168,8 +165,8 @@ def _before_first(grid: Grid, path: Path, start: Instant | None, advance: Callab
 def _advanced(
     grid: Grid, most: int, halved: Number, goals: tuple[Goal, ...], instant: Instant, to: Given
 ) -> tuple[Instant, Instant]:
-    """The instant after a step, for the next step and for the results; an increment that does not settle is cut."""
-    before, driven = instant.given, tendons_of(goals)
+    """The instant after a step, twice; an increment that does not settle is cut."""
+    before = instant.given._replace(by_goal=to.by_goal)
     widest = (1.0 + halved) / (most if goals else _num_increments(grid, most, before, to))
 
     def part(so_far: _SoFar, _: None) -> tuple[_SoFar, None]:
@@ -190,9 +187,17 @@ def _advanced(
     increment = jax.checkpoint(part, prevent_cse=False, policy=jax.checkpoint_policies.save_only_these_names(FOUND))
     end = jax.lax.scan(increment, _SoFar(instant, none, none + widest), None, TRIED * most)[0]
     body = end.instant.body._replace(converged=end.instant.body.converged & (end.done >= 1.0))
-    instant = end.instant._replace(body=body, given=to)
-    tension = to.base_tension.at[driven].set(body.nodes.tension[0, driven])  # as it was found
-    return instant, instant._replace(given=to._replace(base_tension=tension))
+    instant = end.instant._replace(body=body, given=_as_read(grid, goals, body.nodes, to, to.by_goal))
+    return instant, instant
+
+
+def _as_read(grid: Grid, goals: tuple[Goal, ...], nodes: Node, given: Given, by_goal: PerTendon | float) -> Given:
+    """The given numbers, with the base tensions of driven tendons as they were found, and their goals where not set."""
+    tension, goal = given.base_tension, given.goal
+    for each in goals:
+        tension = tension.at[each.tendon].set(nodes.tension[0, each.tendon])
+        goal = goal.at[each.tendon].set(grid.reading(nodes, each))
+    return given._replace(base_tension=tension, goal=jnp.where(by_goal > 0, given.goal, goal))
 
 
 def _num_increments(grid: Grid, most: int, before: Given, to: Given) -> Number:
@@ -207,10 +212,10 @@ def _num_increments(grid: Grid, most: int, before: Given, to: Given) -> Number:
     return jnp.where(largest_size(loads) > 0, most, few) if loads else few
 
 
-def _given(grid: Grid, tension: PerTendon, goal: PerTendon, loads: Loads | None) -> Given:
+def _given(grid: Grid, tension: PerTendon, goal: PerTendon, by_goal: PerTendon, loads: Loads | None) -> Given:
     if loads is None:
-        return Given(tension, goal, None, None, None)
-    return Given(tension, goal, *loads_on(grid, loads), jnp.asarray(loads.tip_moment))
+        return Given(tension, goal, by_goal, None, None, None)
+    return Given(tension, goal, by_goal, *loads_on(grid, loads), jnp.asarray(loads.tip_moment))
 
 
 # --- the history of a path ------------------------------------------------------------------------
@@ -246,7 +251,8 @@ def stepped_history(manipulator: Manipulator, path: Path, start: SteppedStates |
     pull, pulled_in, tip, error, front = jax.vmap(nan_unless)(good, (pull, pulled_in, tip, error, fronts[0]))
     driven = tendons_of(kind.driven)
     by_length = np.array([goal.quantity == "displacement" for goal in kind.driven], bool)
-    slack = jnp.any(by_length & ((pulled_in - path.goal)[:, driven] > LEAST_SLACK * grid.scale), axis=1)
+    missed = jnp.where(path.by_goal > 0, pulled_in - path.goal, 0.0)[:, driven]
+    slack = jnp.any(by_length & (missed > LEAST_SLACK * grid.scale), axis=1)
     pushes = jnp.any(~by_length & (pull[:, driven] < 0.0), axis=1)
     geometry, share = grid.geometry, instants.body.share
     return History(

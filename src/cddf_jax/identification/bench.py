@@ -164,6 +164,13 @@ class Bench(eqx.Module):
         return self.course is not None and any(self.course.by_length)
 
     @property
+    def by_length(self) -> np.ndarray:
+        """(rows, tendons), whether a displacement sets the tendon."""
+        if self.course is None:
+            return np.zeros(np.shape(self.actuation), bool)
+        return self.course.set_by_length[np.asarray(self.course.trial), np.asarray(self.course.step)]
+
+    @property
     def in_order(self) -> bool | None:
         """Whether the rows are followed in their order; None: each from rest."""
         if self.course is None:
@@ -205,7 +212,7 @@ class Bench(eqx.Module):
             if any(course.by_length):
                 offset = self._slack_offsets(parameters, manipulator.num_tendons, jnp.arange(len(readings)))
                 displacement = course.true_displacement(parameters, readings, offset[:, set_ones])
-                tension = jnp.where(np.array(course.by_length), displacement, tension)
+                tension = jnp.where(course.set_by_length, displacement, tension)
             of_trial = None if deviation is None else deviation[self.course.first_row]
             loads_with = partial(self.setting.loads_with, parameters=parameters, components=components)
             body = in_space(body) if components == 3 else body
@@ -223,6 +230,7 @@ class Bench(eqx.Module):
                 found.tip_tension,
                 found.tip_angle,
                 found.tip_position,
+                found.tip_axis,
                 found.status,
                 found.direction_contradicted,
                 self.setting.markers_on(found),
@@ -240,7 +248,8 @@ class Bench(eqx.Module):
             none = jnp.zeros(3)
             look = partial(seen, shift=none if shift is None else shift, turn=none if turn is None else turn)
             markers = None if shown.markers is None else look(shown.markers)
-            shown = shown._replace(tip_position=look(shown.tip_position), markers=markers)
+            axis = look(shown.tip_axis, shift=none)  # a direction turns, but does not move
+            shown = shown._replace(tip_position=look(shown.tip_position), tip_axis=axis, markers=markers)
         return {column: self._reading(shown, column, parameters) for column in columns}
 
     def _slack_offsets(self, parameters: Parameters, tendons: int, trial: Array) -> Float[Array, "n tendons"]:
@@ -455,12 +464,12 @@ def experiment_of(
                 f"the table gives the position of the marker {twice[0]!r} already; leave it out of the setting"
             )
         found = markers_of(columns, {**setting.markers, **table.markers}, float(np.asarray(manipulator.length)))
-        (force_at, forces), given = forces_of(table.columns, len(table)), set_by(table.columns)
+        force_at, forces = forces_of(table.columns, len(table))
         check_on_body(force_at, float(np.asarray(manipulator.length)))
         forced = bool(np.any(forces))
-        tendons = np.array([tendon_number(column) - 1 for column in given])
+        tendons = np.array([tendon_number(column) - 1 for column in set_by(table.columns)])
         bench = Bench(
-            np.stack([table[column] for column in given], axis=1),
+            table.actuation,
             tuple(map(table.columns.get, of_tendons("direction", manipulator.num_tendons))),
             forces if forced else None,
             first_trial + table.trial if "trial" in table else None,
@@ -524,6 +533,7 @@ def _observed(table: Measurements, num_tendons: int) -> list[str]:
         remedy = f"add it, or {column.replace('base_tension', 'displacement')}"
         raise InputError(f"no column {column!r}; a manipulator of {num_tendons} tendons needs it; {remedy}")
     columns = [column for column in table.columns if kind_of(column) and is_reading(column, table.columns)]
+    columns = [column for column in columns if np.any(table.has(column))]
     if not columns:
         raise InputError("nothing observed; add a column tip_tension [N], tip_angle [deg] or tip_x [mm]")
     for column in table.columns:

@@ -21,7 +21,7 @@ from ..history.trace import trace
 from ..measurements.forces import forces_of
 from ..measurements.holds import NO_STEP
 from ..measurements.jitter import Steady, without_jitter
-from ..measurements.readings import kind_of, kind_of_set, set_by
+from ..measurements.readings import kind_of_set, set_by
 from ..measurements.table import Measurements
 from ..quantities import dimension_of
 from ..robot.loads import Loads
@@ -52,6 +52,7 @@ class Shown(NamedTuple):
     tip_tension: Float[Array, "rows tendons"]
     tip_angle: Float[Array, " rows"]
     tip_position: Float[Array, "rows components"]
+    tip_axis: Float[Array, "rows components"]
     status: Int[Array, " rows"]
     direction_contradicted: Bool[Array, "rows tendons"] | None  # None along a path, which contradicts nothing
     markers: Float[Array, "rows markers components"] | None = None
@@ -73,7 +74,8 @@ class Course(eqx.Module):
     stays: tuple[bool, ...] = eqx.field(default=(), static=True)  # of each place, whether its force is the same in all
     # rows of every path, and of more than one; then it acts before the first step
     short_steps: int | None = eqx.field(default=None, static=True)  # of each step; None where the answer is exact
-    by_length: tuple[bool, ...] = eqx.field(default=(False,), static=True)  # of each tendon, if displacements
+    by_length: tuple[bool, ...] = eqx.field(default=(False,), static=True)  # of each tendon, if displacements set it,
+    by_tension: Bool[np.ndarray | Array, "trials steps tendons"] | None = None  # but for these steps, where any
     time: Float[np.ndarray | Array, "trials steps"] | None = None  # s, where the body comes after the motors
     number: Int[np.ndarray | Array, " trials"] | None = None  # of each trial among those of all tables, from 1
 
@@ -89,10 +91,11 @@ class Course(eqx.Module):
         At most `MOST_REMEMBERED`, those next to the largest moves.
         """
         found = []
-        for path in np.asarray(self.readings):
-            move = np.diff(path, axis=0, prepend=path[:1] if self.past is not None else 0 * path[:1])
-            turns = np.zeros(len(path), bool)
-            turns[0] = self.past is not None
+        for path, by_length in zip(np.asarray(self.readings), self.set_by_length, strict=True):
+            other_kind = np.diff(by_length, axis=0, prepend=by_length[:1])
+            move = np.diff(path, axis=0, prepend=path[:1] if self.past is not None else 0 * path[:1]) * ~other_kind
+            turns = np.append(np.any(other_kind[1:], axis=1), False)
+            turns[0] |= self.past is not None
             for own in move.T:
                 (there,) = np.nonzero(own)
                 turned = np.sign(own[there[1:]]) != np.sign(own[there[:-1]])
@@ -104,19 +107,28 @@ class Course(eqx.Module):
 
     @property
     def along(self) -> np.ndarray:
-        """(directions, trials, steps, tendons), changes of the readings: for each tendon of all steps but the turns,
-        then of the first turn of each trial, the second, and so on.
+        """(directions, trials, steps, tendons), changes of the readings: by each column that sets a tendon, as in
+        `Measurements.set_columns`, of all steps but the turns, then of the first turn of each trial, and so on.
         """
         turns, shape = self.turn_steps, np.shape(self.readings)
         most = max(map(len, turns))
         most += -most % FEW_STEPS
-        found = np.zeros((1 + most, shape[2], *shape))
-        for tendon in range(shape[2]):
-            found[0, tendon, :, :, tendon] = 1.0
+        by_length = self.set_by_length
+        columns = [(tendon, kind) for tendon in range(shape[2]) for kind in np.unique(by_length[..., tendon])]
+        found = np.zeros((1 + most, len(columns), *shape))
+        for column, (tendon, kind) in enumerate(columns):
+            sets = by_length[..., tendon] == kind
+            found[0, column, :, :, tendon] = sets
             for trial, steps in enumerate(turns):
-                found[0, tendon, trial, steps, tendon] = 0.0
-                found[1 + np.arange(len(steps)), tendon, trial, steps, tendon] = 1.0
+                found[0, column, trial, steps, tendon] = 0.0
+                found[1 + np.arange(len(steps)), column, trial, steps, tendon] = sets[trial, steps]
         return found.reshape(-1, *shape)
+
+    @property
+    def set_by_length(self) -> np.ndarray | Array:
+        """(trials, steps, tendons), whether a displacement sets the tendon."""
+        flags = np.broadcast_to(np.array(self.by_length), np.shape(self.readings))
+        return flags if self.by_tension is None else flags & ~self.by_tension
 
     def path(self, parameters: Mapping[str, ArrayLike]) -> Float[Array, "trials path tendons"]:
         """The readings, N or m; with a past, its tensions come first."""
@@ -178,18 +190,19 @@ class Course(eqx.Module):
             nodes: as in `trace`; in increments there are twice as many elements as nodes.
         """
 
-        def one(tension: Array, forces: Array | None, deviation: Array | None):
+        def one(tension: Array, forces: Array | None, deviation: Array | None, by_tension: Array | None):
             here = with_deviation(body, deviation)
             if self.short_steps is None:
                 (path,) = self._driven(tension)
                 found = trace(here, path, nodes=nodes, max_turns=self.max_turns, throw=False)
             else:
-                found = self._in_increments(here, tension, forces, loads_with, nodes)
+                found = self._in_increments(here, tension, by_tension, forces, loads_with, nodes)
             pulled, tips = (x.reshape(tension.shape) for x in (found.tendon_displacement, found.tip_tension))
-            return Shown(pulled, tips, found.tip_angle, found.tip_position, found.status, None, markers_on(found))
+            tip = found.tip_angle, found.tip_position, found.tip_axis
+            return Shown(pulled, tips, *tip, found.status, None, markers_on(found))
 
         forces = None if self.forces is None else jnp.asarray(self.forces)
-        trials = tension, forces, deviation
+        trials = tension, forces, deviation, self.by_tension
         if len(tension) == 1:  # a batch would be traced and compiled for nothing
             every = jax.tree.map(lambda x: x[None], one(*jax.tree.map(lambda x: x[0], trials)))
         elif self.short_steps is None:
@@ -206,13 +219,20 @@ class Course(eqx.Module):
         return [Displacement(own) if by_length else own for by_length, own in lengths]
 
     def _in_increments(
-        self, body: Manipulator, tension: Array, forces: Array | None, loads_with: LoadsWith, nodes: int
+        self,
+        body: Manipulator,
+        tension: Array,
+        by_tension: Array | None,
+        forces: Array | None,
+        loads_with: LoadsWith,
+        nodes: int,
     ) -> History:
         """One path."""
         assert self.short_steps is not None
         num_before = 0 if self.past is None else 1
         given = self._driven(tension[num_before:]) if any(self.by_length) else tension[num_before:]
         path, driven = given_path(body, given, loads_with(forces))
+        path = path if by_tension is None else path.partly_by_tension(by_tension)
         staying = np.array(self.stays)[:, None]
         resting = loads_with(forces[0] * staying if forces is not None and np.any(staying) else None)
         path = path._replace(resting=jax.tree.map(lambda x: jnp.asarray(x, float), resting))
@@ -234,7 +254,7 @@ def _with_backlash(play: ArrayLike, path: Float[Array, "steps tendons"]) -> Floa
 
 def is_driven_by_length(table: Measurements) -> bool:
     """Whether displacements set any tendon, which may then be slack."""
-    return any(kind_of(column) == "displacement" for column in set_by(table.columns))
+    return any(own.by_length for own in table.set_columns)
 
 
 def paths_of(table: Measurements, history: bool | str | None) -> list[np.ndarray] | None:
@@ -305,9 +325,9 @@ def course_of(
             tension before a trial that is below that of its first row, or a past of another number of tendons.
     """
     rows, force = len(table), forces_of(table.columns, len(table))[1]
-    pulled = set_by(table.columns)
-    by_length = tuple(kind_of(column) == "displacement" for column in pulled)
-    exact = len(pulled) == 1 and not np.any(force) and not stepped
+    pulled, by_length = set_by(table.columns), tuple(np.any(table.by_length, axis=0).tolist())
+    by_both = len(table.set_columns) > len(pulled)
+    exact = len(pulled) == 1 and not np.any(force) and not stepped and not by_both
     rows_of_paths = table.trials if paths is None else paths
     timed &= any(by_length) and max(map(len, rows_of_paths)) > 1
     trial, step = np.zeros(rows, int), np.zeros(rows, int)
@@ -325,10 +345,14 @@ def course_of(
             f"{len(pulled)} columns of base tensions; give one tension for each column"
         )
     for k, own in enumerate(rows_of_paths):
-        steadied = [_steady(table[column][own], known.get(column, known.get(kind_of_set(column)))) for column in pulled]
-        if len(pulled) == 1 and not np.any(force):
+        steadied, given = [], np.zeros((len(own), len(pulled)))
+        for column, tendon, sets in table.set_columns:
+            noise = known.get(column, known.get(kind_of_set(column)))
+            steadied.append(_steady(table[column][own][sets[own]], noise))
+            given[sets[own], tendon] = steadied[-1].tension
+        if len(pulled) == 1 and not np.any(force) and not by_both:
             _check_directions(table, own, steadied[0], past, k)
-        given = np.stack([*(steady.tension for steady in steadied), *force[own].reshape(len(own), -1).T], axis=1)
+        given = np.concatenate([given, force[own].reshape(len(own), -1), table.by_length[own]], axis=1)
         moved = np.append(True, np.any(np.diff(given, axis=0) != 0, axis=1) | timed)
         trial[own], step[own] = len(every), np.cumsum(moved) - 1
         every.append(given[moved])
@@ -337,7 +361,7 @@ def course_of(
         first.append(own[0])
     places = [f"{table.name}: {table.place(int(row))}" for row in first]
     tensions = [path[:, : len(pulled)] for path in every]
-    forces = [path[:, len(pulled) :].reshape(len(path), *force.shape[1:]) for path in every]
+    forces = [path[:, len(pulled) : -len(pulled)].reshape(len(path), *force.shape[1:]) for path in every]
     past = past and past.followed_by(np.array([path[0] for path in tensions]), places)
     short = None if exact else short_steps
     readings, acting = _stacked(tensions, short), _stacked(forces, short)
@@ -353,8 +377,13 @@ def course_of(
         most *= 2 if timed else 1  # the turns of a lagging path lie elsewhere
     acting = acting if np.any(acting) else None
     number = None if numbered_from is None else numbered_from + table.trial[first]
-    course = Course(readings, trial, step, np.array(first), most, past, acting, stays, short, by_length, time, number)
-    steady = {column: _together(rows_of_paths, own) for column, *own in zip(pulled, *found, strict=True)}
+    by_tension = 1 - _stacked([path[:, -len(pulled) :] for path in every], short) > 0 if by_both else None
+    course = Course(
+        *(readings, trial, step, np.array(first), most, past, acting, stays, short, by_length, by_tension, time, number)
+    )
+    steady = {
+        own.column: _together(one, rows_of_paths, own.rows) for own, *one in zip(table.set_columns, *found, strict=True)
+    }
     return course, steady
 
 
@@ -367,11 +396,11 @@ def _stacked(paths: Sequence[np.ndarray], short_steps: int | None) -> np.ndarray
     return np.stack([np.pad(one, more, mode="edge") for one, more in zip(paths, added, strict=True)])
 
 
-def _together(rows: Sequence[np.ndarray], found: Sequence[Steady]) -> Steady:
-    """The readings of all paths without jitter; the noise is that of the noisiest path."""
-    noisiest, level = max(found, key=lambda steady: steady.noise), np.zeros(sum(map(len, rows)))
+def _together(found: Sequence[Steady], rows: Sequence[np.ndarray], sets: np.ndarray) -> Steady:
+    """The readings of all paths without jitter, 0 where they set nothing; the noise is that of the noisiest path."""
+    noisiest, level = max(found, key=lambda steady: steady.noise), np.zeros(len(sets))
     for own, steady in zip(rows, found, strict=True):
-        level[own] = steady.tension
+        level[own[sets[own]]] = steady.tension
     return noisiest._replace(tension=level, num_ignored=sum(steady.num_ignored for steady in found))
 
 
@@ -393,7 +422,7 @@ def _times(table: Measurements, rows: np.ndarray) -> np.ndarray:
 
 def _steady(readings: np.ndarray, noise: float | None) -> Steady:
     """The readings without jitter; displacements may be below 0."""
-    least = min(float(np.min(readings)), 0.0)
+    least = float(np.min(readings, initial=0.0))
     steady = without_jitter(readings - least, noise)
     return steady._replace(tension=steady.tension + least)
 

@@ -8,7 +8,7 @@ from jaxtyping import ArrayLike
 from ..errors import InputError
 from ..estimation.observations import Noise
 from ..measurements.jitter import Steady
-from ..measurements.readings import SET, kind_of_set, set_by
+from ..measurements.readings import SET, kind_of_set
 from ..measurements.table import Measurements
 from ..numerics.given_numbers import check_numbers
 from ..quantities import dimension_of
@@ -16,7 +16,7 @@ from ..robot.manipulator import Manipulator
 from ..units import si_unit
 from .bench import Bench, Group, Pulley, experiment_of
 from .course import SHORT_STEPS, Course, course_of, how_followed, paths_of
-from .parameters import BenchSetting, along_a_path, trial_of
+from .parameters import MOTORS, BenchSetting, along_a_path, trial_of
 from .tension_before import Before, first_guesses, pasts_of
 
 
@@ -46,6 +46,13 @@ def courses_of(
         if (trial := trial_of(name)) is not None and trial > ends[-1]:
             what = f"{name} belongs to trial {trial}, but the tables have {ends[-1]}"
             raise InputError(what, remedy="number the trials of all tables from 1, in their order")
+    needed = next((name for name in along if name in MOTORS), "")
+    for table in tables:
+        for own in table.set_columns:
+            if needed and own.by_length and not np.all(own.rows):
+                place = f"{table.name}: {table.place(int(np.argmin(own.rows)))}, column {own.column}"
+                what = f"{place}: a base tension sets the tendon there, and {needed} takes displacements in all rows"
+                raise InputError(what, remedy=f"clear the base tensions of this tendon, or leave {needed} out")
     by_trial = any(trial_of(name) is not None for name in names)
     courses = [
         course_of(table, noise, own, short_steps, paths=rows, numbered_from=end + 1 if by_trial else None, **how)
@@ -81,7 +88,7 @@ def split_noise(
     noise: Mapping[str, ArrayLike | Noise], tables: Sequence[Measurements]
 ) -> tuple[dict[str, ArrayLike | Noise], dict[str, float]]:
     """The noise of the predicted columns, and that of what was set."""
-    columns = {column for table in tables for column in set_by(table.columns)}
+    columns = {own.column for table in tables for own in table.set_columns}
     columns |= {*map(kind_of_set, columns)} - {column for table in tables for column in table.columns}
     base = {column: given for column, given in noise.items() if column in columns}
     for column, given in base.items():
@@ -90,7 +97,8 @@ def split_noise(
         if isinstance(given, Noise) or np.ndim(given) or not np.asarray(given) >= 0:
             unit = si_unit(dimension_of(kind_of_set(column)))
             raise InputError(f"noise of {column} must be one standard deviation in {unit}, 0 or more")
-    predicted = {column: given for column, given in noise.items() if column not in base}
+    partly = {own.column for table in tables for own in table.set_columns if np.any(table.has(own.column) & ~own.rows)}
+    predicted = {column: given for column, given in noise.items() if column not in base or column in partly}
     return predicted, {column: float(np.asarray(given)) for column, given in base.items()}
 
 

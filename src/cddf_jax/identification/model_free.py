@@ -102,6 +102,10 @@ def model_free_friction(table: Measurements, *, in_order: bool | None = None) ->
         if column not in table:
             remedy = f"friction without a model needs {', '.join(COLUMNS)}; add the column or use fit"
             raise InputError(f"{table.name}: no column {column!r}; {remedy}")
+    if not np.all(table.has("base_tension")):
+        row = table.place(int(np.argmin(table.has("base_tension"))))
+        remedy = "friction without a model needs it in all rows; leave the others out, or use fit"
+        raise InputError(f"{table.name}: {row} has no base tension; {remedy}")
     if len(set_by(table.columns)) > 1 and "direction" not in table:
         remedy = "add it: 1 where tendon 1 slides in, -1 where it slides out"
         raise InputError(f"{table.name}: several tendons and no column 'direction'; {remedy}")

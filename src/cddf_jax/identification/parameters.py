@@ -89,6 +89,7 @@ OF_TENDONS = (  # each tendon may have its own
 )
 _OF_TRIAL = re.compile(r"slack_offset(?:_([1-9]\d*))?_trial_([1-9]\d*)")  # a tendon, or else all, in one trial
 RUBBING = ("friction_moment", "outside_friction", "outside_drag")  # friction besides that of tendons on the body
+MOTORS = ("backlash", "lag")  # between a motor and its tendon
 _OF_BODY = {field.name for field in fields(Manipulator)}
 
 
@@ -100,7 +101,7 @@ def along_a_path(manipulator: Manipulator, parameters: Sequence[str]) -> list[st
         if any(getattr(owner, name, None) is not None for owner in (manipulator, *manipulator.tendons))
     ]
     given = [parameter_named(name).name for name in parameters if not name.startswith(TRIALS)]
-    given = [name for name in given if name in (*RUBBING, "backlash", "lag")]
+    given = [name for name in given if name in (*RUBBING, *MOTORS)]
     return [*dict.fromkeys([*own, *given])]
 
 

@@ -88,21 +88,24 @@ def beyond_the_data(wanted: Bench, model: BenchModel) -> np.ndarray:
     places = [ON_TIP, *sorted({place for one in (wanted, *benches) for place in one.setting.force_at})]
 
     def conditions(bench: Bench) -> np.ndarray:
-        force, pulls = np.zeros((len(bench.actuation), len(places), 3)), np.zeros((len(bench.actuation), tendons))
-        pulls[:, slice(None) if bench.tendons is None else np.asarray(bench.tendons)] = bench.actuation
+        rows, pull = len(bench.actuation), np.asarray(bench.actuation)[:, None]
+        force, pulls = np.zeros((rows, len(places), 3)), np.zeros((rows, 2, tendons))
+        of_kind = bench.by_length[:, None] == np.array([[False], [True]])  # first tensions, then displacements
+        set_ones = slice(None) if bench.tendons is None else np.asarray(bench.tendons)
+        pulls[:, :, set_ones] = np.where(of_kind, pull, np.nan)
         if bench.forces is not None:
             own = [places.index(place) for place in (ON_TIP, *bench.setting.force_at)]
             force[:, own, : np.shape(bench.forces)[2]] = bench.forces
-        return np.concatenate([pulls, force.reshape(len(force), -1)], axis=1)
+        return np.concatenate([pulls.reshape(rows, -1), force.reshape(rows, -1)], axis=1)
 
-    measured = [conditions(one) for one in benches if one.is_driven == wanted.is_driven]
     there = conditions(wanted)
-    if not measured:
+    if not benches:
         return np.ones(len(there), bool)
-    rows = np.concatenate(measured)
-    low, high = rows.min(axis=0), rows.max(axis=0)
+    measured = np.concatenate([*map(conditions, benches)])
+    low, high = np.fmin.reduce(measured), np.fmax.reduce(measured)  # NaN where nothing was measured
     slack = SPANNED * np.maximum(np.abs(low), np.abs(high))
-    return np.any((there < low - slack) | (there > high + slack), axis=1)
+    inside = (there >= low - slack) & (there <= high + slack)
+    return np.any(np.isfinite(there) & ~inside, axis=1)
 
 
 def moved_by_finer_steps(fit: LeastSquaresFit, model: BenchModel, groups: Sequence[Group]) -> dict[str, float]:

@@ -17,7 +17,7 @@ from ..estimation.parameter_space import Priors
 from ..estimation.residuals import InputErrors
 from ..estimation.whole_search import INTERRUPTED
 from ..measurements.jitter import LARGEST_JITTER
-from ..measurements.readings import kind_of_set, set_by
+from ..measurements.readings import kind_of_set
 from ..measurements.table import Measurements
 from .bench import Bench, BenchModel, benches_of
 from .parameters import TRIALS, Parameters
@@ -125,21 +125,23 @@ class SetLevels(NamedTuple):
         return turns or count > self.bench.actuation.shape[1] * (int(np.max(self.level)) + 1)
 
     def slopes(self, uncertain: Mapping[str, int], model: BenchModel, at: Parameters) -> Slopes:
-        """By label of each uncertain tendon and group of data, (readings, levels), the derivatives by what was set.
+        """By label of each uncertain column and group of data, (readings, levels), the derivatives by what was set.
 
         They are over the root of the number of different readings of a level. Equal ones are one: the noise of a cell
         makes no equal readings.
         """
         by_base = self.bench.evaluate(model.manipulator, jax.tree.map(np.asarray, at), model.nodes).by_base
-        return {label: self._by_tendon(by_base, tendon) for label, tendon in uncertain.items()}
+        return {label: self._by_column(by_base, number) for label, number in uncertain.items()}
 
-    def _by_tendon(self, by_base: Mapping[str, np.ndarray], tendon: int) -> dict[str, np.ndarray]:
-        tendons, rows = self.bench.actuation.shape[1], np.arange(len(self.table))
-        different = np.unique(np.stack([self.level, self.bench.actuation[:, tendon]]), axis=1)[0].astype(int)
+    def _by_column(self, by_base: Mapping[str, np.ndarray], number: int) -> dict[str, np.ndarray]:
+        every, rows = self.table.set_columns, np.arange(len(self.table))
+        pull = self.bench.actuation[:, every[number].tendon]
+        different = np.unique(np.stack([self.level, pull]), axis=1)[0].astype(int)
+        others = np.setdiff1d(self.level, self.level[every[number].rows])  # the levels that another column sets
         size = np.sqrt(np.bincount(different))
         found = {}
         for column in self.bench.columns:
-            slope = np.asarray(by_base[column]).reshape(len(self.table), -1, tendons)[:, :, tendon]
+            slope = np.asarray(by_base[column]).reshape(len(self.table), -1, len(every))[:, :, number]
             whole = np.zeros((len(self.table), size.size))
             whole[rows, self.level] = slope[:, 0]
             if (course := self.bench.course) is not None:
@@ -149,6 +151,7 @@ class SetLevels(NamedTuple):
                         there = own[np.asarray(course.step)[own] == step]
                         if there.size:
                             whole[own, self.level[there[0]]] = slope[own, 1 + turn]
+            whole[:, others] = 0.0
             found[f"{self.name}: {column}"] = (whole / size)[self.table.has(column)]
         return found
 
@@ -186,12 +189,12 @@ def errors_of_base(model: BenchModel, tables: Sequence[Measurements], noise: Map
     sigma, largest, found = {}, {}, []
     for levels in levels_of(model, tables):
         estimable, uncertain = levels.are_shared and not levels.are_many, {}
-        for tendon, column in enumerate(set_by(levels.table.columns)):
+        for number, (column, _, rows) in enumerate(levels.table.set_columns):
             stated = noise.get(column, noise.get(kind_of_set(column)))
-            most = LARGEST_JITTER * float(np.ptp(np.append(levels.table[column], 0.0)))
+            most = LARGEST_JITTER * float(np.ptp(np.append(levels.table[column][rows], 0.0)))
             if stated != 0 and most > 0 and (stated is not None or estimable):
                 label = f"{levels.name}: {column}"
-                sigma[label], largest[label], uncertain[label] = stated, most, tendon
+                sigma[label], largest[label], uncertain[label] = stated, most, number
         found += [partial(levels.slopes, uncertain, model)] * bool(uncertain)
     return InputErrors(partial(_all_slopes, found), sigma, largest)
 
@@ -205,5 +208,7 @@ def many_levels(model: BenchModel, tables: Sequence[Measurements], noise: Mappin
     return [
         levels.name
         for levels in levels_of(model, tables)
-        if levels.are_many and levels.are_shared and not {*map(kind_of_set, set_by(levels.table.columns))} <= set(noise)
+        if levels.are_many
+        and levels.are_shared
+        and not {kind_of_set(own.column) for own in levels.table.set_columns} <= set(noise)
     ]

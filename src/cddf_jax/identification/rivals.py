@@ -21,7 +21,7 @@ from ..quantities import dimension_of
 from ..units import shown
 from .bench import BenchModel, benches_of, groups_of
 from .course import course_of, paths_of
-from .parameters import TRIALS, along_a_path, parameter_named
+from .parameters import MOTORS, TRIALS, along_a_path, parameter_named
 from .predictions import over_noise
 
 RIVALS = ("slack_offset", "lag", "backlash", "friction_moment", "outside_drag", "outside_friction")
@@ -89,12 +89,14 @@ def rivals_of(
     given = [name for _, _, one in driven for name in one.setting.given]
     own = [parameter_named(name).name for name in (*fit.names, *given) if not name.startswith(TRIALS)]
     known = {*along_a_path(model.manipulator, ()), *own}
-    names = [name for name in RIVALS if name not in known and (timed or name != "lag")]
+    in_all_rows = not any(np.any(~own.rows) for _, table, _ in driven for own in table.set_columns)
+    without = [*known, *([] if in_all_rows else MOTORS), *([] if timed else ["lag"])]
+    names = [name for name in RIVALS if name not in without]
     parameters = {**jax.tree.map(np.asarray, dict(fit.parameters)), **{name: np.zeros(()) for name in names}}
     slopes = {}
     for name, table, one in driven:
         noise = {column: value for column, value in options["noise"].items() if kind_of_set(column) in SET}
-        how = {"short_steps": options["short_steps"], "stepped": True, "timed": timed}
+        how = {"short_steps": options["short_steps"], "stepped": True, "timed": timed and in_all_rows}
         course, _ = course_of(table, noise, paths=paths_of(table, options["history"]), **how)
         course = replace(course, number=None if one.course is None else one.course.number)
         bench = replace(one, course=course, name=one.name)

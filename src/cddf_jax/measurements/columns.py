@@ -103,7 +103,8 @@ def column_dimension(column: str) -> Dimension | None:
         remedy = f"did you mean {close[0]}? Known are" if close else "known are"
         more = [f"{name}_2" for name in PER_TENDON]
         raise InputError(f"unknown column {short(column)}; {remedy} {', '.join([*COLUMNS, *more])}, ...")
-    return None if column in _WITHOUT_UNIT else QUANTITIES[column].dimension
+    dimension = None if column in _WITHOUT_UNIT else QUANTITIES[column].dimension
+    return None if dimension == "dimensionless" else dimension
 
 
 def may_be_read(column: str) -> bool:

@@ -102,10 +102,10 @@ def correlation_of_rows(residual: np.ndarray, labels: np.ndarray) -> float:
 
 def holds_of(table: Measurements) -> np.ndarray:
     """The hold of each row of a table, by the order of measurement, its trials and what was set."""
-    set_to = [
-        column for column in table.columns if column not in ("trial", *ORDER) and not is_reading(column, table.columns)
-    ]
-    levels, labels = np.stack([table[column] for column in set_to], axis=1), np.zeros(len(table), int)
+    pulls = [own.column for own in table.set_columns]
+    others = {column for column in table.columns if not is_reading(column, table.columns)} - {*pulls, "trial", *ORDER}
+    levels = [np.where(own.rows, table[own.column], 0.0) for own in table.set_columns]
+    levels, labels = np.stack([*levels, *map(table.__getitem__, others)], axis=1), np.zeros(len(table), int)
     labels[table.order] = hold_labels(levels[table.order], table.trial[table.order])
     return labels
 

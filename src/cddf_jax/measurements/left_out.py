@@ -110,7 +110,8 @@ def _table_without(table: Measurements, marked: np.ndarray) -> Measurements:
         return table
     read = [name for name in table.columns if is_reading(name, table.columns)]
     kept = {
-        name: np.where(marked, np.nan, values) if name in read else values for name, values in table.columns.items()
+        name: np.where(marked & table.has(name), np.nan, values) if name in read else values
+        for name, values in table.columns.items()
     }
     empty = [name for name in read if not np.any(np.isfinite(kept[name]))]
     if len(empty) == len(read):

@@ -4,8 +4,10 @@ A kind of data is added here and in `quantities`: what is read of an equilibrium
 the name of its kind. If every tendon has one, `tip_tension` is that of tendon 1, and `tip_tension_2` that of tendon 2.
 """
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from .markers import marker_column
 
@@ -28,6 +30,9 @@ READINGS = {
     "tip_x": Reading(lambda found: found.tip_position[..., 0]),
     "tip_y": Reading(lambda found: found.tip_position[..., 1]),
     "tip_z": Reading(lambda found: found.tip_position[..., 2], in_space=True),
+    "tip_axis_x": Reading(lambda found: found.tip_axis[..., 0]),
+    "tip_axis_y": Reading(lambda found: found.tip_axis[..., 1]),
+    "tip_axis_z": Reading(lambda found: found.tip_axis[..., 2], in_space=True),
     "marker_x": Reading(lambda found: found.markers[..., 0], of_marker=True),
     "marker_y": Reading(lambda found: found.markers[..., 1], of_marker=True),
     "marker_z": Reading(lambda found: found.markers[..., 2], of_marker=True, in_space=True),
@@ -69,9 +74,42 @@ def kind_of_set(column: str) -> str:
 
 
 def set_by(columns: Collection[str]) -> list[str]:
-    """The column that sets each tendon: its base tension, or its displacement where there is none."""
+    """The column that sets each tendon: its base tension, or its displacement where there is none in any row."""
     found = {tendon_number(column): column for kind in SET[::-1] for column in columns if kind_of_set(column) == kind}
     return [found[number] for number in sorted(found)]
+
+
+class SetColumn(NamedTuple):
+    """What sets a tendon in some rows of a table."""
+
+    column: str
+    tendon: int  # its place among those that are set, from 0
+    rows: np.ndarray  # (rows,), whether the column sets it there
+
+    @property
+    def by_length(self) -> bool:
+        """Whether it is a displacement."""
+        return kind_of_set(self.column) == "displacement"
+
+
+def set_columns(columns: Mapping[str, np.ndarray]) -> list[SetColumn]:
+    """The columns that set the tendons: where a row has no base tension of a tendon, its displacement does."""
+    found = []
+    for tendon, column in enumerate(set_by(columns)):
+        other = column.replace("base_tension", "displacement")
+        known = np.isfinite(columns[column]) | (other == column or other not in columns)
+        found += [SetColumn(column, tendon, known)] * bool(np.any(known))
+        found += [] if np.all(known) else [SetColumn(other, tendon, ~known)]
+    return found
+
+
+def has_reading(columns: Mapping[str, np.ndarray], column: str) -> np.ndarray:
+    """(rows,), where a column holds a number; of a displacement that sets its tendon in some rows, in the others."""
+    found = np.isfinite(columns[column])
+    for own in set_columns(columns):
+        if own.column == column and own.by_length and not np.all(own.rows):
+            found &= ~own.rows
+    return found
 
 
 def columns_of(num_tendons: int, markers: Sequence[str] = (), components: int = 2) -> list[str]:

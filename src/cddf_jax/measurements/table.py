@@ -7,10 +7,11 @@
 | column | unit of | meaning |
 | --- | --- | --- |
 | base_tension, base_tension_2, ... | force | pull at the base on tendon 1, 2, ... |
-| displacement, displacement_2, ... | length | pulled in at the actuator; sets a tendon without base tension |
+| displacement, displacement_2, ... | length | pulled in at the actuator; sets a tendon where it has no base tension |
 | tip_tension, tip_tension_2, ... | force | the same tendon's tension at its tip end |
 | tip_angle | angle | phi(L) |
 | tip_x, tip_y, tip_z | length | u(L) in the frame at the base, tip_z of a body in space |
+| tip_axis_x, tip_axis_y, tip_axis_z | none | the direction in which the tip points, of length 1 |
 | x@120mm, y@120mm, z@120mm | length | a marker at that arc length; the place of `x@head` is given separately |
 | tip_force_x, tip_force_y, tip_force_z | force | known dead load on the tip |
 | force_x@60mm, force_y@60mm, force_z@60mm | force | the same at that arc length, such as a weight that hangs there |
@@ -35,7 +36,7 @@ Files of instruments and spreadsheets are read too; `Measurements.read_as` says 
 - Other columns are not used. A name that resembles a known one is refused. Messages guess what unknown columns are.
 - Text above the header, such as that of LabVIEW or a table of channels, is taken as notes.
 - A cell of an instrument without a number (empty, nan, n/a, -): that reading is left out, and the others of its row
-  stay. What was set (tensions at the base, forces, directions) must be there.
+  stay. What was set (tensions at the base, or else displacements, forces, directions) must be there.
 - `loading`, `in`, `up`, `pull` are direction 1; `unloading`, `out`, `down`, `release` are -1.
 - A tension may be below 0 by up to 2 % of the largest, as the zero of a cell drifts.
 
@@ -74,10 +75,11 @@ from .columns import (
 from .marker_table import NO_MARKERS, of_markers, read_marker_table
 from .markers import Marker
 from .order import ORDER, check_order, order_of
-from .readings import kind_of
+from .readings import SetColumn, has_reading, kind_of, set_columns
 
 _FROM_CELLS = ("base_tension", "tip_tension", "pulling_tension")
 _NEVER_NEGATIVE = (*_FROM_CELLS, *PULLEY)
+_LONGEST_AXIS = 1.05  # of the parts of a direction, which noise may make longer than 1
 _DRIFT = 0.02  # of the largest tension, by which a cell may read below 0
 
 
@@ -147,9 +149,33 @@ class Measurements:
     def __str__(self) -> str:
         return "\n".join([f"{self.name}: {len(self)} rows of {', '.join(self.columns)}", *self.read_as])
 
+    @cached_property
+    def set_columns(self) -> list[SetColumn]:
+        """The columns that set the tendons, and the rows in which each does."""
+        return set_columns(self.columns)
+
+    @property
+    def actuation(self) -> np.ndarray:
+        """(rows, tendons), what set each tendon: a base tension, N, or a displacement, m."""
+        found = np.zeros((len(self), 1 + max((own.tendon for own in self.set_columns), default=-1)))
+        for own in self.set_columns:
+            found[own.rows, own.tendon] = self[own.column][own.rows]
+        return found
+
+    @property
+    def by_length(self) -> np.ndarray:
+        """(rows, tendons), whether a displacement set each tendon."""
+        found = np.zeros(self.actuation.shape, bool)
+        for own in self.set_columns:
+            found[:, own.tendon] |= own.rows & own.by_length
+        return found
+
     def has(self, column: str) -> np.ndarray:
-        """Which rows hold a number in a column; a reading may be missing."""
-        return np.isfinite(self.columns[column])
+        """Which rows hold a number in a column; of readings that may be missing, which rows hold one.
+
+        A displacement that sets its tendon in some rows is none there.
+        """
+        return has_reading(self.columns, column)
 
     def read(self, column: str) -> np.ndarray:
         """The numbers of a column, without the rows in which it is missing."""
@@ -243,7 +269,7 @@ _KIND = Kind(
     "measurements",
     "base_tension [N], tip_tension [N]",
     labels=("trial",),
-    gaps=may_be_read,
+    gaps=lambda column: may_be_read(column) or column.startswith("base_tension"),
     words=lambda column: DIRECTIONS if is_direction(column) else {},
 )
 
@@ -290,9 +316,9 @@ def _table(
 
 def _gaps(columns: Mapping[str, np.ndarray], rows: np.ndarray) -> tuple[tuple[str, ...], np.ndarray, list[str]]:
     """Columns without any reading, the rows that are kept, and in words what is left out."""
-    missing = {column: np.isnan(values) for column, values in columns.items() if is_reading(column, columns)}
-    unread = tuple(column for column, where in missing.items() if np.all(where))
-    if missing and len(missing) == len(unread):
+    missing = {column: ~has_reading(columns, column) for column in columns if is_reading(column, columns)}
+    unread = tuple(column for column, values in columns.items() if np.all(np.isnan(values)))
+    if missing and np.all([*missing.values()]):
         raise InputError(f"no row holds a reading ({', '.join(missing)}); add the measurements")
     said = [f"{column} holds no number and is not used" for column in unread]
     read = [where for column, where in missing.items() if column not in unread]
@@ -363,10 +389,13 @@ def _check_columns(columns: Iterable[str]) -> None:
 
 def _check_values(column: str, values: np.ndarray, rows: np.ndarray, table: Mapping[str, np.ndarray]) -> None:
     demand = partial(_demand, column, values, rows)
-    known = np.isfinite(values) | (np.isnan(values) if is_reading(column, table) else False)
-    demand(known, "must be finite", "give a number or remove the row")
+    other = table.get(column.replace("base_tension", "displacement"), np.full(len(values), np.nan))
+    may_miss = is_reading(column, table) or (column.startswith("base_tension") & np.isfinite(other))
+    demand(np.isfinite(values) | (np.isnan(values) & may_miss), "must be finite", "give a number or remove the row")
     if is_direction(column):
         demand(np.abs(values) == 1, "must be 1 or -1", "write 1 where the tendon slides in, -1 where it slides out")
+    if column.startswith("tip_axis"):
+        demand(~(np.abs(values) > _LONGEST_AXIS), "must be from -1 to 1", "give the parts of a direction of length 1")
     if column.startswith(_FROM_CELLS):
         tensions = [own for name, own in table.items() if name.startswith((*_FROM_CELLS, "weight"))]
         largest = max(np.nanmax(own, initial=0.0) for own in tensions)

@@ -50,7 +50,7 @@ def _tip_above_base(table: Measurements, column: str, *, in_order: bool | None) 
     sliding_in = table.columns.get(way, np.ones(len(table))) > 0
     for rows in table.trials if in_order else ():
         sliding_in[rows] = base[rows] >= np.maximum.accumulate(base[rows])
-    above = sliding_in & (tip > _TIP_ABOVE_BASE * base + _ZERO_ERROR * base.max())
+    above = sliding_in & (tip > _TIP_ABOVE_BASE * base + _ZERO_ERROR * np.nanmax(base))
     remedy = f"are the cells swapped or off zero, or does the tendon slide out ({way} -1)?"
     what = f"{column} more than 5 % above {pull}"
     return _rows_with(table, above, what, lambda i: f"{tip[i]:.6g} N over {base[i]:.6g} N", remedy)

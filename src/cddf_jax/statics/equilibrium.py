@@ -71,6 +71,11 @@ class Equilibrium(eqx.Module):
     path = property(lambda self: self.along.path, doc="The place of each tendon in space, m, (tendons, points, 3).")
 
     @property
+    def tip_axis(self) -> Float[Array, " components"]:
+        """The direction in which the tip points, of length 1."""
+        return axis_of_tip(self.tip_angle, self.tip_frame)
+
+    @property
     def in_space(self) -> bool:
         """Whether the body was solved in space, so that its fields are `SpatialFields`; static."""
         return self._dense.manipulator.in_space
@@ -230,6 +235,15 @@ def ended_as(equilibrium: Equilibrium, *statuses: Status) -> bool:
 def on_host(equilibrium: Equilibrium) -> Equilibrium:
     """The same in NumPy arrays, from which texts are made without a compiled program for every operation."""
     return jax.tree.map(np.asarray, equilibrium)
+
+
+def axis_of_tip(
+    tip_angle: Float[Array, "*steps"], tip_frame: Float[Array, "*steps 3 3"] | None
+) -> Float[Array, "*steps components"]:
+    """The direction in which a tip points; the frame is that of a body in space."""
+    if tip_frame is not None:
+        return tip_frame[..., 0]
+    return jnp.stack([jnp.cos(tip_angle), jnp.sin(tip_angle)], axis=-1)
 
 
 def nan_unless(good: Bool[Array, ""], tree: Tree) -> Tree:
