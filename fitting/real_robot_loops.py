@@ -133,22 +133,33 @@ def numbers(model: str, found: cddf.Fit) -> dict[str, float | str]:
     return line
 
 
-def figure(loops: list[cddf.Measurements], found: dict[str, cddf.Fit]) -> Figure:
-    """How far the tip is from its place at the beginning, over the displacement; a tendon in each panel."""
+def ways(tip: np.ndarray, read: np.ndarray) -> np.ndarray:
+    """(2, rows), how far the tip is from where the camera saw it first, m: in the plane of bending, and across it.
+
+    Both are at right angles to the straight body. The plane is that of the body and the largest way seen.
+    """
+    off, seen = (place[:, 1:] - read[0, 1:] for place in (tip, read))
+    along = seen[np.argmax(np.linalg.norm(seen, axis=1))]
+    along = along / np.linalg.norm(along)
+    return np.stack([off @ along, off @ [-along[1], along[0]]])
+
+
+def figure(loops: list[cddf.Measurements], found: dict[str, cddf.Fit], *, across: bool) -> Figure:
+    """The way of the tip in the plane of bending, or across it, over the displacement; a tendon in each panel."""
     with draw.house_style():
         drawn = draw.new_figure(draw.DOUBLE_COLUMN, 5.2)
         panels = drawn.subplots(3, 3).ravel().tolist()
         for number, (axes, table) in enumerate(zip(panels, loops, strict=True), 1):
             read = np.stack([table[column] for column in TIP], axis=1)
             x = 1e3 * table[pulled_by(table)]
-            axes.plot(x, 1e3 * np.linalg.norm(read - read[0], axis=1), "o", color=looks.BLACK, label="measured")
+            axes.plot(x, 1e3 * ways(read, read)[int(across)], "o", color=looks.BLACK, label="measured")
             for model, colour in DRAWN.items():
                 tip = read - misfits(found[model], loops)[number - 1]
-                axes.plot(x, 1e3 * np.linalg.norm(tip - read[0], axis=1), color=colour, label=model)
+                axes.plot(x, 1e3 * ways(tip, read)[int(across)], color=colour, label=model)
             axes.set_title(f"tendon {number}")
         for axes in panels[6:]:
             axes.set(xlabel="Displacement (mm)")
-        panels[3].set(ylabel="Way of the tip (mm)")
+        panels[3].set(ylabel=f"Way of the tip {'across the' if across else 'in the'} plane of bending (mm)")
         draw.common_legend(drawn, panels)
     return drawn
 
@@ -190,4 +201,6 @@ if __name__ == "__main__":
         print("\n".join(rival.in_words for rival in found[model].rivals))
     print(f"v6: {refusal()}")
     lines = [numbers(model, own) for model, own in found.items()]
-    write_all(OUT, draw.render(figure(loops, found), "loops") | {"loops.json": as_json({"models": lines})})
+    drawn = draw.render(figure(loops, found, across=False), "loops_in_plane")
+    drawn |= draw.render(figure(loops, found, across=True), "loops_across")
+    write_all(OUT, drawn | {"loops.json": as_json({"models": lines})})

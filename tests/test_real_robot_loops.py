@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from cddf_jax.identification.curves import model_loops
 from cddf_jax.measurements.loop_sense import runs_backwards
 
 STUDY = SimpleNamespace(**runpy.run_path(str(Path(__file__).parents[1] / "fitting" / "real_robot_loops.py")))
@@ -36,5 +37,7 @@ def test_a_friction_moment_explains_a_loop():
     assert found.success
     assert STUDY.misfit(found) < 1.5e-3
     assert 0.7e-3 < found.value["friction_moment"] / float(body.stiffness(0.0)) / 1e3 < 1.0e-3
+    (curve,) = model_loops(found, found.groups[0])  # in increments it goes through the predictions of the rows
+    np.testing.assert_allclose(curve.value, loops[0]["tip_x"] - found.residuals[found.groups[0].label], rtol=1e-9)
     (off,) = found.tip_misfits.values()
     assert off.across < off.in_plane < STUDY.misfit(found)

@@ -168,7 +168,7 @@ class Bench(eqx.Module):
         """(rows, tendons), whether a displacement sets the tendon."""
         if self.course is None:
             return np.zeros(np.shape(self.actuation), bool)
-        return self.course.set_by_length[np.asarray(self.course.trial), np.asarray(self.course.step)]
+        return np.asarray(self.course.set_by_length)[np.asarray(self.course.trial), np.asarray(self.course.step)]
 
     @property
     def in_order(self) -> bool | None:

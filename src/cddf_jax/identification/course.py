@@ -202,7 +202,8 @@ class Course(eqx.Module):
             return Shown(pulled, tips, *tip, found.status, None, markers_on(found))
 
         forces = None if self.forces is None else jnp.asarray(self.forces)
-        trials = tension, forces, deviation, self.by_tension
+        by_tension = None if self.by_tension is None else jnp.asarray(self.by_tension)
+        trials = tension, forces, deviation, by_tension
         if len(tension) == 1:  # a batch would be traced and compiled for nothing
             every = jax.tree.map(lambda x: x[None], one(*jax.tree.map(lambda x: x[0], trials)))
         elif self.short_steps is None:
@@ -347,8 +348,8 @@ def course_of(
     for k, own in enumerate(rows_of_paths):
         steadied, given = [], np.zeros((len(own), len(pulled)))
         for column, tendon, sets in table.set_columns:
-            noise = known.get(column, known.get(kind_of_set(column)))
-            steadied.append(_steady(table[column][own][sets[own]], noise))
+            scatter = known.get(column, known.get(kind_of_set(column)))
+            steadied.append(_steady(table[column][own][sets[own]], scatter))
             given[sets[own], tendon] = steadied[-1].tension
         if len(pulled) == 1 and not np.any(force) and not by_both:
             _check_directions(table, own, steadied[0], past, k)

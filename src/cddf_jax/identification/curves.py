@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..measurements.readings import set_by
 from ..measurements.table import Measurements
 from .bench import Bench, Group, Pulley
 from .course import course_of
@@ -36,12 +35,21 @@ def model_curve(fit: Fit, group: Group) -> ModelCurve | None:
 
 
 def model_loops(fit: Fit, group: Group) -> list[ModelCurve]:
-    """The model along the path of each trial, in its order; [] where no path turns, or there is no exact answer."""
-    bench = group.experiment
+    """The model along the path of each trial, in its order; [] where no path turns, or more than one number was set.
+
+    Where there is no exact answer, it is known in the rows only.
+    """
+    bench, table = group.experiment, group.table
     course = bench.course if isinstance(bench, Bench) and not bench.on_one_curve else None
-    if not isinstance(bench, Bench) or course is None or course.short_steps is not None or course.each_from_rest:
+    if not isinstance(bench, Bench) or course is None or course.each_from_rest:
         return []
-    (column,) = set_by(group.table.columns)
+    if len(table.set_columns) > 1 or bench.forces is not None:
+        return []
+    column = table.set_columns[0].column
+    if course.short_steps is not None:
+        shown = bench.evaluate(fit.model.manipulator, fit.parameters, fit.model.nodes)
+        numbers = table[column], shown.readings[group.column], fit.band(shown.derivatives[group.column])
+        return [ModelCurve(*(own[rows] for own in numbers)) for rows in table.trials]
     parts: list[np.ndarray] = []  # the path of each trial, N or m, and the times
     for k, readings in enumerate(np.asarray(course.readings)[..., 0]):
         steps = np.arange(np.max(np.asarray(course.step)[np.asarray(course.trial) == k]) + 1)
