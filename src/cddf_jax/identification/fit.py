@@ -160,8 +160,8 @@ class Fit(LeastSquaresFit):
         """Predict a reading, with its 95 % band.
 
         Args:
-            column: "tip_tension", "tip_tension_2", "tip_angle", "tip_x", "tip_y", "tip_z" of a body in space, or the
-                column of a marker, "x@120mm".
+            column: "tip_tension", "tip_tension_2", "tip_angle", "tip_x", "tip_y", "tip_axis_x", ..., of a body in space
+                "tip_z" as well, or the column of a marker, "x@120mm".
             base_tension: N, (rows,) where every tendon has the same tension, or (rows, tendons).
             tip_force: N, (2,) or (rows, 2), of a body in space (3,) or (rows, 3).
             force_at: forces at other places, N, in the same shapes, by their arc lengths, m: {0.060: (0.0, -1.0)}.
@@ -253,9 +253,10 @@ def fit(
     """Fit parameters of a manipulator and its bench to one or several tables at once.
 
     A table with `weight`, `pulling_tension` and `wrap_angle` is a pulley test and determines friction alone.
-    Any other has `base_tension` (and `base_tension_2`, ... for further tendons) and one or more of
-    `tip_tension`, `tip_tension_2`, ..., `tip_angle`, `tip_x`, `tip_y`, `tip_z` of a body in space, and markers
-    (`x@120mm`); `direction`, `tip_force_x` and the others, `force_x@60mm`, `trial`, `step` and `time` are optional.
+    Any other has `base_tension` (and `base_tension_2`, ... for further tendons) or `displacement`, in each row one of
+    them, and one or more of `tip_tension`, `tip_tension_2`, ..., `tip_angle`, `tip_x`, `tip_y`, `tip_axis_x`, ..., of
+    a body in space `tip_z` and `tip_axis_z`, and markers (`x@120mm`); `direction`, `tip_force_x` and the others,
+    `force_x@60mm`, `trial`, `step` and `time` are optional.
 
     With a history, the rows of a trial are steps of a path: pulled, released and pulled again. The path starts from
     rest, or from `before`. Directions follow from the path; a column `direction` is only compared with it. Without a
