@@ -124,3 +124,17 @@ def test_an_effect_that_jumps_with_the_estimate(slope, result):
     assert found.result.startswith(result)
     weight = 1 / (1 + slope**2)
     assert abs(found.value["m"]) == pytest.approx(0.3 * (1 - weight) / (1 + weight), rel=1e-6)
+
+
+def test_where_the_model_has_no_slope_an_input_has_no_effect():
+    """As without errors of inputs; a search can pass a place where the slopes have no number."""
+    data = draw()
+    without = least_squares_fit(model, {"a": 1.0, "b": 1.0}, data, NOISE)
+    slopes = InputErrors(
+        lambda p: {"x": {name: np.full((ROWS, ROWS), np.nan) for name in NOISE}}, {"x": INPUT}, {"x": 0.3}
+    )
+    found = least_squares_fit(model, {"a": 1.0, "b": 1.0}, data, NOISE, inputs=slopes)
+    assert found.success
+    for name, value in without.value.items():
+        assert found.value[name] == pytest.approx(value, rel=1e-9)
+        assert found.standard_error[name] == pytest.approx(without.standard_error[name], rel=1e-9)

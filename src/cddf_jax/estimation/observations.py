@@ -118,11 +118,12 @@ def estimate_noise(
 
 
 def effects_of(inputs: InputErrors, groups: Sequence[Observed], parameters: PyTree) -> dict[str, np.ndarray]:
-    """By input group, (data, inputs), the derivatives of all data by the inputs."""
+    """By input group, (data, inputs), the derivatives of all data by the inputs; 0 where the model gives no number."""
 
     def whole(own: Mapping[str, np.ndarray]) -> np.ndarray:
         count = next(iter(own.values())).shape[1]
-        return np.concatenate([own.get(group.name, np.zeros((group.values.size, count))) for group in groups])
+        every = np.concatenate([own.get(group.name, np.zeros((group.values.size, count))) for group in groups])
+        return without_nan(every)
 
     return {name: whole(own) for name, own in inputs.slopes(parameters).items()}
 
