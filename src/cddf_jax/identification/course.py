@@ -21,7 +21,7 @@ from ..history.trace import trace
 from ..measurements.forces import forces_of
 from ..measurements.holds import NO_STEP
 from ..measurements.jitter import Steady, without_jitter
-from ..measurements.readings import kind_of_set, set_by
+from ..measurements.readings import SetColumn, kind_of_set, set_by
 from ..measurements.table import Measurements
 from ..quantities import dimension_of
 from ..robot.loads import Loads
@@ -325,67 +325,66 @@ def course_of(
         InputError: for a column `direction` of a single tendon that contradicts the order of the rows, a largest
             tension before a trial that is below that of its first row, or a past of another number of tendons.
     """
-    rows, force = len(table), forces_of(table.columns, len(table))[1]
-    pulled, by_length = set_by(table.columns), tuple(np.any(table.by_length, axis=0).tolist())
-    by_both = len(table.set_columns) > len(pulled)
-    exact = len(pulled) == 1 and not np.any(force) and not stepped and not by_both
+    force, tendons = forces_of(table.columns, len(table))[1], len(set_by(table.columns))
     rows_of_paths = table.trials if paths is None else paths
+    by_length = tuple(np.any(table.by_length, axis=0).tolist())
+    by_both = len(table.set_columns) > tendons
     timed &= any(by_length) and max(map(len, rows_of_paths)) > 1
-    trial, step = np.zeros(rows, int), np.zeros(rows, int)
-    every, times, found, first = [], [], [], []
-    past = None if past is None or past.at_rest else past
-    known = noise or {}
-    if past is not None and any(by_length):
+    past = _checked(table, past)
+    steady = {own.column: _steady(table, own, noise or {}, rows_of_paths) for own in table.set_columns}
+    given = np.zeros((len(table), tendons))
+    for own in table.set_columns:
+        given[own.rows, own.tendon] = steady[own.column].tension[own.rows]
+    alone = tendons == 1 and not np.any(force) and not by_both
+    for k, own in enumerate(rows_of_paths if alone else ()):
+        _check_directions(table, own, next(iter(steady.values())), past, k)
+    every = np.concatenate([given, force.reshape(len(table), -1), table.by_length], axis=1)
+    trial, step, kept = np.zeros(len(table), int), np.zeros(len(table), int), []
+    for k, own in enumerate(rows_of_paths):
+        moved = np.append(True, np.any(np.diff(every[own], axis=0) != 0, axis=1) | timed)
+        trial[own], step[own] = k, np.cumsum(moved) - 1
+        kept.append(own[moved])
+    short = None if alone and not stepped else short_steps
+    readings, acting, flags = (_stacked([own[rows] for rows in kept], short) for own in (given, force, table.by_length))
+    first = np.array([rows[0] for rows in kept])
+    past = past and past.followed_by(readings[:, 0], [f"{table.name}: {table.place(int(row))}" for row in first])
+    stays = ()
+    if np.any(acting):  # that of a single row grows with the pull
+        stays = tuple(((readings.shape[1] > 1) & np.all(acting == acting[:, :1], axis=(0, 1, 3))).tolist())
+    course = Course(
+        readings,
+        trial,
+        step,
+        first,
+        max_turns=0 if short is not None else _most_turns(readings, past, any(by_length)) * (2 if timed else 1),
+        past=past,
+        forces=acting if np.any(acting) else None,
+        stays=stays,
+        short_steps=short,
+        by_length=by_length,
+        by_tension=~flags if by_both else None,
+        time=_times(table, rows_of_paths, readings.shape[1]) if timed else None,
+        number=None if numbered_from is None else numbered_from + table.trial[first],
+    )
+    return course, steady
+
+
+def _checked(table: Measurements, past: Past | None) -> Past | None:
+    """The past of a table, None for rest; it must fit what sets the tendons."""
+    if past is None or past.at_rest:
+        return None
+    if is_driven_by_length(table):
         raise InputError(
             f"{table.name}: before holds tensions, but displacements set the tendons; begin each trial with a row of "
             "the displacements before it, whose readings may be empty"
         )
-    if past is not None and np.shape(past.stated)[1] != len(pulled):
+    tendons = len(set_by(table.columns))
+    if np.shape(past.stated)[1] != tendons:
         raise InputError(
             f"{table.name}: before holds tensions of {np.shape(past.stated)[1]} tendons, but there are "
-            f"{len(pulled)} columns of base tensions; give one tension for each column"
+            f"{tendons} columns of base tensions; give one tension for each column"
         )
-    for k, own in enumerate(rows_of_paths):
-        steadied, given = [], np.zeros((len(own), len(pulled)))
-        for column, tendon, sets in table.set_columns:
-            scatter = known.get(column, known.get(kind_of_set(column)))
-            steadied.append(_steady(table[column][own][sets[own]], scatter))
-            given[sets[own], tendon] = steadied[-1].tension
-        if len(pulled) == 1 and not np.any(force) and not by_both:
-            _check_directions(table, own, steadied[0], past, k)
-        given = np.concatenate([given, force[own].reshape(len(own), -1), table.by_length[own]], axis=1)
-        moved = np.append(True, np.any(np.diff(given, axis=0) != 0, axis=1) | timed)
-        trial[own], step[own] = len(every), np.cumsum(moved) - 1
-        every.append(given[moved])
-        times += [_times(table, own)] if timed else []
-        found.append(steadied)
-        first.append(own[0])
-    places = [f"{table.name}: {table.place(int(row))}" for row in first]
-    tensions = [path[:, : len(pulled)] for path in every]
-    forces = [path[:, len(pulled) : -len(pulled)].reshape(len(path), *force.shape[1:]) for path in every]
-    past = past and past.followed_by(np.array([path[0] for path in tensions]), places)
-    short = None if exact else short_steps
-    readings, acting = _stacked(tensions, short), _stacked(forces, short)
-    size, stays, most, time = readings.shape[1], (), 0, None
-    if np.any(acting):  # that of a single row grows with the pull
-        stays = tuple(((size > 1) & np.all(acting == acting[:, :1], axis=(0, 1, 3))).tolist())
-    if timed:
-        time = np.stack([np.append(own, own[-1] + 1.0 + np.arange(size - own.size)) for own in times])
-    if short is None:
-        above = [] if past is None else [2 * max(np.max(readings), np.max(np.asarray(past.stated)), 1.0)]
-        above = [np.max(readings) + 1, np.min(readings) - 1] if any(by_length) else above  # it may be pulled from slack
-        most = max(_most_open(np.append(above, path)) for path in tensions)
-        most *= 2 if timed else 1  # the turns of a lagging path lie elsewhere
-    acting = acting if np.any(acting) else None
-    number = None if numbered_from is None else numbered_from + table.trial[first]
-    by_tension = 1 - _stacked([path[:, -len(pulled) :] for path in every], short) > 0 if by_both else None
-    course = Course(
-        *(readings, trial, step, np.array(first), most, past, acting, stays, short, by_length, by_tension, time, number)
-    )
-    steady = {
-        own.column: _together(one, rows_of_paths, own.rows) for own, *one in zip(table.set_columns, *found, strict=True)
-    }
-    return course, steady
+    return past
 
 
 def _stacked(paths: Sequence[np.ndarray], short_steps: int | None) -> np.ndarray:
@@ -397,35 +396,38 @@ def _stacked(paths: Sequence[np.ndarray], short_steps: int | None) -> np.ndarray
     return np.stack([np.pad(one, more, mode="edge") for one, more in zip(paths, added, strict=True)])
 
 
-def _together(found: Sequence[Steady], rows: Sequence[np.ndarray], sets: np.ndarray) -> Steady:
-    """The readings of all paths without jitter, 0 where they set nothing; the noise is that of the noisiest path."""
-    noisiest, level = max(found, key=lambda steady: steady.noise), np.zeros(len(sets))
-    for own, steady in zip(rows, found, strict=True):
-        level[own[sets[own]]] = steady.tension
+def _steady(table: Measurements, own: SetColumn, noise: Mapping[str, float], paths: Sequence[np.ndarray]) -> Steady:
+    """A column without the jitter of its readings, path by path; 0 in rows in which it sets nothing.
+
+    Displacements may be below 0. The noise is that of the noisiest path.
+    """
+    scatter, level = noise.get(own.column, noise.get(kind_of_set(own.column))), np.zeros(len(table))
+    found = []
+    for rows in (path[own.rows[path]] for path in paths):
+        least = float(np.min(table[own.column][rows], initial=0.0))
+        found.append(without_jitter(table[own.column][rows] - least, scatter))
+        level[rows] = found[-1].tension + least
+    noisiest = max(found, key=lambda steady: steady.noise)
     return noisiest._replace(tension=level, num_ignored=sum(steady.num_ignored for steady in found))
 
 
-def _times(table: Measurements, rows: np.ndarray) -> np.ndarray:
-    """The times of a path, s, at which displacements can be looked up."""
+def _times(table: Measurements, paths: Sequence[np.ndarray], steps: int) -> np.ndarray:
+    """(trials, steps), the times of all paths, s, at which displacements can be looked up; they go on to the end."""
     if "time" not in table:
         raise InputError(f"{table.name}: lag needs the column time; add it, or do not fit lag")
-    time, moved = table["time"][rows], np.zeros(len(rows), bool)
-    for column in set_by(table.columns):
-        moved[1:] |= np.diff(table[column][rows]) != 0
-    bad = np.flatnonzero((np.diff(time, prepend=-np.inf) < 0) | (moved & (np.diff(time, prepend=-np.inf) == 0)))
-    if bad.size:
-        raise InputError(
-            f"{table.name}: {table.place(int(rows[bad[0]]))}, column time: lag needs times that rise with the rows; "
-            "give times with more digits, in the order of the rows"
-        )
-    return time
-
-
-def _steady(readings: np.ndarray, noise: float | None) -> Steady:
-    """The readings without jitter; displacements may be below 0."""
-    least = float(np.min(readings, initial=0.0))
-    steady = without_jitter(readings - least, noise)
-    return steady._replace(tension=steady.tension + least)
+    found = []
+    for rows in paths:
+        time, moved = table["time"][rows], np.zeros(len(rows), bool)
+        for column in set_by(table.columns):
+            moved[1:] |= np.diff(table[column][rows]) != 0
+        bad = np.flatnonzero((np.diff(time, prepend=-np.inf) < 0) | (moved & (np.diff(time, prepend=-np.inf) == 0)))
+        if bad.size:
+            raise InputError(
+                f"{table.name}: {table.place(int(rows[bad[0]]))}, column time: lag needs times that rise with the "
+                "rows; give times with more digits, in the order of the rows"
+            )
+        found.append(np.append(time, time[-1] + 1.0 + np.arange(steps - time.size)))
+    return np.stack(found)
 
 
 def _check_directions(table: Measurements, rows: np.ndarray, steady: Steady, past: Past | None, trial: int) -> None:
@@ -434,9 +436,10 @@ def _check_directions(table: Measurements, rows: np.ndarray, steady: Steady, pas
         return
     (column,) = set_by(table.columns)
     dimension, by_length = dimension_of(column), is_driven_by_length(table)
-    before = np.append(0.0 if past is None else np.nan_to_num(past.stated[trial, 0]), steady.tension[:-1])
-    moved = steady.tension - before
-    sure = np.abs(moved) > max(steady.least_turn, NO_STEP * np.max(steady.tension))
+    tension = steady.tension[rows]
+    before = np.append(0.0 if past is None else np.nan_to_num(past.stated[trial, 0]), tension[:-1])
+    moved = tension - before
+    sure = np.abs(moved) > max(steady.least_turn, NO_STEP * np.max(tension))
     sure[0] &= past is None or not any(past.parameters[trial])  # a fitted tension decides the way to the first row
     sure[0] &= not by_length  # where a tendon begins to pull is not known
     wrong = np.flatnonzero(sure & (moved * table["direction"][rows] < 0))
@@ -445,9 +448,16 @@ def _check_directions(table: Measurements, rows: np.ndarray, steady: Steady, pas
         way, label = ("rises", -1) if moved[i] > 0 else ("falls", 1)
         raise InputError(
             f"{table.name}: {table.place(int(rows[i]))}, column direction: is {label}, but {column} {way} there from "
-            f"{shown(before[i], dimension)} to {shown(steady.tension[i], dimension)}; correct the label or "
+            f"{shown(before[i], dimension)} to {shown(tension[i], dimension)}; correct the label or "
             f"the order of the rows, or {'leave the column direction out' if by_length else WITHOUT}"
         )
+
+
+def _most_turns(readings: np.ndarray, past: Past | None, driven: bool) -> int:
+    """The largest number of turns that are remembered at once along any of the paths of one tendon."""
+    above = [] if past is None else [2 * max(np.max(readings), np.max(np.asarray(past.stated)), 1.0)]
+    above = [np.max(readings) + 1, np.min(readings) - 1] if driven else above  # it may be pulled from slack
+    return max(_most_open(np.append(above, path)) for path in readings)
 
 
 def _most_open(path: np.ndarray) -> int:
