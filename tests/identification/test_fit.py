@@ -271,7 +271,10 @@ def test_a_prediction_that_the_data_do_not_hold_has_no_band(pulley_alone):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("tip_slope", [10.0]), "'tip_slope' is not a reading; there are displacement, tip_angle, tip_tension"),
+        (
+            ("tip_slope", [10.0]),
+            "'tip_slope' is not a reading; there are displacement, tip_angle, tip_axis_x, tip_axis_y",
+        ),
         (("tip_angle", [-5.0]), "base_tension must be 0 N or more, got -5; a tendon only pulls"),
         (("tip_angle", [np.nan]), "base_tension must hold finite numbers"),
         (("tip_angle", [5.0], (0.0, np.inf)), "tip_force must hold finite numbers"),
