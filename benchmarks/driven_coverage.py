@@ -64,7 +64,9 @@ def bench(tendons: int, rng: np.random.Generator) -> cddf.Measurements:
     """One simulated table."""
     path, ends = path_of(tendons), ("", "_2", "_3")[:tendons]
     pulls = [cddf.Displacement(own) for own in path.T]
-    history = cddf.trace(body_of(tendons, MU, MODULUS, COMPLIANCE), pulls, nodes=32, short_steps=8, throw=False)
+    history = cddf.trace(
+        body_of(tendons, MU, MODULUS, COMPLIANCE), pulls, nodes=32, short_steps=8, estimate_error=False, throw=False
+    )
     tip = np.asarray(history.tip_position) + TRACKER * rng.normal(size=history.tip_position.shape)
     read = path + OFFSET + ENCODER * rng.normal(size=path.shape)
     columns = {f"displacement{end}": read[:, i] for i, end in enumerate(ends)}
@@ -96,11 +98,9 @@ def coverage(tendons: int, numbers: range) -> dict[str, Any]:
         for name in truth:
             stated[name] += inside[name]
             held[name] += [inside[name]] * (name in known)
-        missed = ", ".join(name for name, holds in inside.items() if not holds) or "none"
+        lost, known_ones = (", ".join(own) or "none" for own in ([n for n in truth if not inside[n]], known))
         mu, (low, high) = fit.value["friction_coefficient"], ends["friction_coefficient"]
-        print(
-            f"bench {k}: mu {mu:.3f} ({low:.3f} to {high:.3f}), {len(known)} identified, missed: {missed}", flush=True
-        )
+        print(f"bench {k}: mu {mu:.3f} ({low:.3f} to {high:.3f}), identified: {known_ones}; missed: {lost}", flush=True)
     rows = {"fits": len(numbers) - failed}
     shares = {
         name: {"identified": len(own), "hold": sum(own), "stated hold": stated[name]} | rows
