@@ -119,7 +119,10 @@ def warnings_of_rows(
         slack = {*range(1, model.manipulator.num_tendons + 1)} - {*map(tendon_number, set_by(table.columns))}
         if slack:
             yield f"{name}: no column for tendon {', '.join(map(str, sorted(slack)))}: taken as slack"
-        for column in (own.column for own in table.set_columns):
+        for column, _, rows in table.set_columns:
+            if kind_of_set(column) == "displacement" and not np.all(rows):
+                first, count = table.place(int(np.argmax(rows))), np.count_nonzero(rows)
+                yield f"{name}: {column} sets its tendon in {count} of {len(table)} rows without base tension ({first})"
             if (steady := without_jitter.get(f"{name}: {column}")) and steady.num_ignored:
                 noise, least = (shown(x, dimension_of(kind_of_set(column))) for x in (steady.noise, steady.least_turn))
                 yield (
