@@ -413,3 +413,18 @@ def test_a_minimum_at_a_kink():
     assert "a lies at a kink of the model; the standard errors are those on one side of it" in found.remarks
     smooth = least_squares_fit(predict, start, np.array([1.5, -1.0, 3.0, 1.0]), sigma=1.0)
     assert not any("kink" in remark for remark in smooth.remarks)
+
+
+def test_a_parameter_alone_is_no_product():
+    """1 - exp(-a) = 0.95 +- 0.03: its slope would close the interval of a. But an infinite a is off by 1.7 errors only.
+
+    No reading depends on b.
+    """
+    data, noise, start = {"read": np.full(4, 0.95)}, {"read": 0.06}, {"a": 1.0, "b": 1.0}
+
+    def model(p):
+        return {"read": (1 - jnp.exp(-p["a"])) * jnp.ones(4)}
+
+    found = least_squares_fit(model, start, data, noise, bounds=dict.fromkeys(start, (0.0, None)))
+    assert found.status == {"a": "not identified", "b": "not identified"}
+    assert not found.combinations

@@ -157,7 +157,9 @@ def _combinations(evidence: Evidence, lost: np.ndarray) -> dict[str, Estimate]:
         product = float(np.exp(np.sum(powers * np.log(value))))
         slope = np.zeros((1, lost.size))
         slope[0, lost] = product * spectrum.within(powers) / value  # rounded powers point a little off these directions
-        found[_product_name(own_names, powers)] = estimate(product, evidence.uncertainty(slope))
+        one = estimate(product, evidence.uncertainty(slope))
+        if np.count_nonzero(powers) > 1 and np.isfinite(one.standard_error):  # a power alone is no product
+            found[_product_name(own_names, powers)] = one
     return found
 
 
