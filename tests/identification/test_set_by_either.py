@@ -1,6 +1,7 @@
 """Tables in which a tendon is set by its base tension in some rows, and by its displacement in the others."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from refusals import refused
@@ -77,7 +78,7 @@ def test_a_path_by_either_is_the_path_by_displacement(loads):
     path, driven = given_path(robot(), [cddf.Displacement(LOOP)], loads)
     kind = Following(driven, 24, 8, estimated=False)
     by_length = stepped_history(robot(), path, None, kind)
-    flags = BY_TENSION[:, None]
+    flags = jnp.asarray(BY_TENSION[:, None])
     numbers = np.where(flags, by_length.base_tension, path.goal)
     mixed = stepped_history(robot(), path._replace(goal=numbers).partly_by_tension(flags), None, kind)
     assert not np.any(mixed.status)
@@ -92,7 +93,7 @@ def test_derivatives():
     lengths = 1e-3 * np.array([[1.9, 2.0], [5.0, 2.1], [8.0, 1.9], [9.0, 1.0]])
     path, driven = given_path(pair, [cddf.Displacement(own) for own in lengths.T], None)
     kind = Following(driven, 24, 8, estimated=False)
-    flags = np.array([[False, False], [True, False], [False, True], [True, False]])
+    flags = jnp.array([[False, False], [True, False], [False, True], [True, False]])
     numbers = np.where(flags, stepped_history(pair, path, None, kind).base_tension, lengths)
 
     def angles(numbers):
