@@ -100,7 +100,7 @@ def draw_residuals(fit: Fit, table: str | None = None, column: str | None = None
         elif np.all(np.isfinite(panel.half_width)):
             axes.errorbar(panel.x, 0 * panel.x, yerr=panel.half_width, **INTERVAL)
         draw_about_zero(axes, panel.x, panel.residual, levels=curve is not None, pulled=panel.pulled)
-        axes.set(xlabel=panel.x_label, ylabel=f"Residual ({panel.unit})")
+        axes.set(xlabel=panel.x_label, ylabel=f"Residual{panel.unit}")
     return axes
 
 
@@ -142,7 +142,7 @@ class _Panel(NamedTuple):
     residual: np.ndarray  # observed - predicted
     x_label: str
     y_label: str
-    unit: str
+    unit: str  # " (N)", "" for a plain number
     data_label: str
     curve: curves.ModelCurve | None = None  # None where no single one holds the rows
     half_width: np.ndarray | float = np.nan  # of the 95 % interval of the predictions, where there is no curve
@@ -164,7 +164,7 @@ def _panel_of(who: str, fit: Fit, table: str | None, column: str | None) -> _Pan
     if column == "pulling_tension" and curve is not None:
         weight, curve = rows["weight"][there], curve._replace(grid=DEGREE * curve.grid)
         numbers = DEGREE * rows["wrap_angle"][there], observed / weight, residual / weight
-        return _Panel(*numbers, "Wrap angle (deg)", "Pulling tension / weight (N/N)", "N/N", label, curve)
+        return _Panel(*numbers, "Wrap angle (deg)", "Pulling tension / weight (N/N)", " (N/N)", label, curve)
     scale, unit = QUANTITIES[kind].shown
 
     def scaled(model: curves.ModelCurve) -> curves.ModelCurve:
@@ -172,7 +172,8 @@ def _panel_of(who: str, fit: Fit, table: str | None, column: str | None) -> _Pan
 
     # " 2" of tendon 2, " at head" of a marker
     number = f" at {column.partition('@')[2]}" if "@" in column else column.removeprefix(kind).replace("_", " ")
-    words, observed, residual = f"{QUANTITIES[kind].label}{number} ({unit})", scale * observed, scale * residual
+    unit = f" ({unit})" if unit else ""
+    words, observed, residual = f"{QUANTITIES[kind].label}{number}{unit}", scale * observed, scale * residual
     own = set_by(rows.columns)[0]
     size, x_label = QUANTITIES[kind_of_set(own)].shown[0], QUANTITIES[kind_of_set(own)].axis_label
     over_base = _Panel(size * rows[own][there], observed, residual, x_label, words, unit, label)

@@ -74,8 +74,8 @@ class Course(eqx.Module):
     stays: tuple[bool, ...] = eqx.field(default=(), static=True)  # of each place, whether its force is the same in all
     # rows of every path, and of more than one; then it acts before the first step
     short_steps: int | None = eqx.field(default=None, static=True)  # of each step; None where the answer is exact
-    by_length: tuple[bool, ...] = eqx.field(default=(False,), static=True)  # of each tendon, if displacements set it,
-    by_tension: Bool[np.ndarray | Array, "trials steps tendons"] | None = None  # but for these steps, where any
+    by_length: tuple[bool, ...] = eqx.field(default=(False,), static=True)  # whether displacements set a tendon at all
+    by_tension: Bool[np.ndarray | Array, "trials steps tendons"] | None = None  # where tensions set it; None: see above
     time: Float[np.ndarray | Array, "trials steps"] | None = None  # s, where the body comes after the motors
     number: Int[np.ndarray | Array, " trials"] | None = None  # of each trial among those of all tables, from 1
 

@@ -171,9 +171,9 @@ class Measurements:
         return found
 
     def has(self, column: str) -> np.ndarray:
-        """Which rows hold a number in a column; of readings that may be missing, which rows hold one.
+        """Which rows hold a number in a column; a reading may be missing.
 
-        A displacement that sets its tendon in some rows is none there.
+        A displacement that sets its tendon in some rows is a reading in the others, and only these count.
         """
         return has_reading(self.columns, column)
 
