@@ -415,6 +415,34 @@ def test_a_minimum_at_a_kink():
     assert not any("kink" in remark for remark in smooth.remarks)
 
 
+def test_a_search_that_a_kink_holds_up_brings_the_others_to_their_minimum():
+    """By hand: (5 |a - 2| + 0.5)^2 + (0.1 b - 3)^2 is least at 2 and 30. It starts at the kink; b is steeper."""
+
+    def predict(p):
+        return jnp.stack([5 * jnp.abs(p["a"] - 2) + 0.5, 0.1 * p["b"], *jnp.zeros(8)])
+
+    data = np.array([0.0, 3.0, *[1.0, -1.0] * 4])
+    found = least_squares_fit(predict, {"a": 2.0, "b": 1.0}, data, sigma=1.0)
+    assert found.value == pytest.approx({"a": 2.0, "b": 30.0}, rel=1e-6)
+    assert "a lies at a kink of the model; the standard errors are those on one side of it" in found.remarks
+    assert not any("starts" in remark for remark in found.remarks)  # one search was enough
+
+
+def test_a_minimum_at_a_kink_across_two_parameters():
+    """By hand: 100 (a + b - 2)^2 + (5 |a - b| + 0.05)^2 is least at a = b = 1; the standard errors there are 0.11.
+
+    With one of them held, the other one ends at the kink too.
+    """
+
+    def predict(p):
+        return jnp.stack([10 * (p["a"] + p["b"]), 5 * jnp.abs(p["a"] - p["b"]) + 0.05, *jnp.zeros(8)])
+
+    data = np.array([20.0, 0.0, *[1.0, -1.0] * 4])
+    found = least_squares_fit(predict, {"a": 1.5, "b": 0.2}, data, sigma=1.0)
+    assert found.success
+    assert found.value == pytest.approx({"a": 1.0, "b": 1.0}, abs=0.011)
+
+
 def test_a_parameter_alone_is_no_product():
     """1 - exp(-a) = 0.95 +- 0.03: its slope would close the interval of a. But an infinite a is off by 1.7 errors only.
 

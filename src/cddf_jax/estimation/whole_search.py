@@ -18,7 +18,7 @@ from .determination import (
     determine,
 )
 from .evidence import Evidence, Uncertainty, without_nan
-from .levenberg_marquardt import Minimum, Outcome, evaluate, hold_one, minimise
+from .levenberg_marquardt import LEAST_RANK, Minimum, Outcome, evaluate, hold_one, minimise
 from .observations import Observed, estimate_noise
 from .parameter_space import TINY, ParameterSpace
 from .remarks import unexplained_groups
@@ -41,6 +41,7 @@ STEEPEST_UNSOLVED = 1e-6  # the same where the optimiser ran out of steps
 FAR = 5.0  # times the accuracy of a model with kinks: a search that stalls farther from a minimum stopped short
 EXACT = 1e-3  # root mean square residual, over the noise, below which the slope is rounding
 BESIDE = 0.1  # standard errors, how far on both sides of a kink the sum of squares has to rise
+NEAR = 0.1  # standard errors: a search that kinks hold up has ended where it is so near to the minimum
 
 
 class FitTask(NamedTuple):
@@ -202,25 +203,42 @@ def slopes(outcome: Outcome) -> np.ndarray:
 
 
 def is_steep(minimum: Minimum, evidence: Evidence) -> bool:
-    """Whether the cost has a slope where the search ended, not counting parameters at a bound."""
+    """Whether the cost has a slope where the search ended, not counting parameters at a bound.
+
+    Where the search could go no further, the slope has to promise more than what brings the estimates NEAR to it.
+    """
     outcome = minimum.outcome
     exact = np.linalg.norm(outcome.residual) <= EXACT * np.sqrt(outcome.residual.size)
     steepest = max(STEEPEST, FAR * np.sqrt(minimum.problem.noteworthy)) if outcome.solved else STEEPEST_UNSOLVED
-    return not exact and bool(np.any(slopes(outcome)[~evidence.at_bound] > steepest))
+    if exact or not np.any(slopes(outcome)[~evidence.at_bound] > steepest):
+        return False
+    columns = outcome.jacobian / np.maximum(np.linalg.norm(outcome.jacobian, axis=0), TINY)
+    promised = columns @ np.linalg.lstsq(columns, outcome.residual, rcond=LEAST_RANK)[0]
+    near = np.sum(promised**2) < NEAR**2 * outcome.cost / minimum.problem.num_data
+    return not (outcome.solved and near)
 
 
 def kink_of(minimum: Minimum, evidence: Evidence) -> tuple[int, Minimum] | None:
     """The parameter with the kink, and the minimum there; None if the search did not end at a kink.
 
-    The parameter with the steepest slope is held, and the others are fitted again. A little to either side of its
-    value, the sum of squares must be larger, also after the others are fitted again.
+    One parameter after the other is held, the one with the steepest slope first, and the others are fitted again.
     """
-    value, free = minimum.outcome.parameters, ~evidence.at_bound
-    i = int(np.argmax(np.where(free, slopes(minimum.outcome), -1.0)))
+    slope = slopes(minimum.outcome)
+    steep = np.flatnonzero(~evidence.at_bound & (slope > STEEPEST))
+    found = ((i, _kink_in(i, minimum, evidence)) for i in steep[np.argsort(-slope[steep])].tolist())
+    return next(((i, there) for i, there in found if there), None)
+
+
+def _kink_in(i: int, minimum: Minimum, evidence: Evidence) -> Minimum | None:
+    """The minimum at the kink in a parameter: None where there is none.
+
+    A little to either side of its value, the sum of squares must be larger, also after the others are fitted again.
+    """
+    value = minimum.outcome.parameters
     held = hold_one(len(value), i, value[i])
     z = np.where(np.isnan(held), minimum.refit(held)[0].z, minimum.outcome.z)
     there = minimum._replace(outcome=evaluate(minimum.problem, z))
-    others = free & np.isnan(held)
+    others = ~evidence.at_bound & np.isnan(held)
     if not np.all(slopes(there.outcome)[others] <= STEEPEST):
         return None
     away = BESIDE * evidence.spectrum.relative_error[i] * evidence.size[i]
@@ -229,8 +247,7 @@ def kink_of(minimum: Minimum, evidence: Evidence) -> tuple[int, Minimum] | None:
         inside = space.lower[i] < place < space.upper[i]
         if not inside or not there.refit(hold_one(len(value), i, place))[1] > 0:
             return None
-    steps = minimum.outcome.num_steps
-    return i, there._replace(outcome=there.outcome._replace(num_steps=steps))
+    return there._replace(outcome=there.outcome._replace(num_steps=minimum.outcome.num_steps))
 
 
 # --- valleys --------------------------------------------------------------------------------------
