@@ -31,7 +31,7 @@ def served(*arguments, times=1):
             raise
     assert line.startswith("http://localhost:"), error
     assert process.returncode == 0, error
-    assert "Traceback" not in error
+    assert "Traceback" not in error, error
 
 
 def opened_page(browser, address):
