@@ -126,7 +126,8 @@ def misfit(found: cddf.Fit) -> float:
 
 def numbers(model: str, found: cddf.Fit) -> dict[str, float | str]:
     """A line of the report, SI."""
-    line: dict[str, float | str] = {"model": model, "misfit": misfit(found), "BIC": found.information_criteria["BIC"]}
+    line: dict[str, float | str] = {"model": model, "result": found.result}
+    line |= {"misfit": misfit(found), "BIC": found.information_criteria["BIC"]}
     for own in (*MODELS[model], "outside_compliance"):
         line |= {own: found.value[own], f"{own}_error": found.standard_error[own], f"{own}_is": found.status[own]}
         line |= {f"{own}_moved_by_steps": found.moved_by_steps.get(own, 0.0)}
@@ -159,7 +160,7 @@ def figure(loops: list[cddf.Measurements], found: dict[str, cddf.Fit], *, across
             axes.set_title(f"tendon {number}")
         for axes in panels[6:]:
             axes.set(xlabel="Displacement (mm)")
-        panels[3].set(ylabel=f"Way of the tip {'across the' if across else 'in the'} plane of bending (mm)")
+        drawn.supylabel(f"Way of the tip {'across the' if across else 'in the'} plane of bending (mm)")
         draw.common_legend(drawn, panels)
     return drawn
 

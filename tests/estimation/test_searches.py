@@ -42,8 +42,8 @@ def test_ctrl_c_gives_the_best_so_far(monkeypatch, looks):
     """Interrupted after some looks at the search: better than the start, and nothing is called identified."""
     seen, saw = [], Watch.saw
 
-    def look(watch, minimum, seconds, **how):
-        saw(watch, minimum, seconds, **how)
+    def look(watch, minimum, **how):
+        saw(watch, minimum, **how)
         seen.append(float(minimum.outcome.cost))
         if len(seen) == looks:
             raise KeyboardInterrupt
@@ -79,7 +79,7 @@ def test_progress_tells_step_misfit_and_estimates():
         least_squares_fit(decay, START, DATA, sigma=0.01)
     SHOWN.reset(before)
     assert said[0] == "step 1"
-    assert said[1].startswith("step 2, misfit ")
+    assert said[1].startswith("step 1, misfit ")
 
 
 def test_other_searches_end_in_time(monkeypatch):

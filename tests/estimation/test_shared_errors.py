@@ -120,7 +120,7 @@ def test_an_effect_that_jumps_with_the_estimate(slope, result):
     def mean(p):
         return {"one": p["m"][None], "two": p["m"][None]}
 
-    found = least_squares_fit(mean, {"m": 0.1}, data, noise, inputs=inputs, accuracy=0.1)
+    found = least_squares_fit(mean, {"m": 0.1}, data, noise, inputs=inputs, accuracy=1e-6)
     assert found.result.startswith(result)
     weight = 1 / (1 + slope**2)
     assert abs(found.value["m"]) == pytest.approx(0.3 * (1 - weight) / (1 + weight), rel=1e-6)

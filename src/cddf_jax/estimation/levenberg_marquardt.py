@@ -19,7 +19,6 @@ from .residuals import LeastSquaresProblem
 
 TOLERANCE = 1e-9  # relative, of unknowns and cost; with a smaller one rounding errors of the cost decide on steps
 MAX_STEPS = 500
-BRIEF = 0.3  # s: after a portion of steps that took longer, the next one is shorter
 LONG = 20.0  # s: a search that took longer says how to stop it
 UNEXPLAINED = 0.9  # of the scatter of the data, left in the residuals: hardly anything is explained
 STALLED = 6  # looks at a search that bring no noteworthy fall of the cost, where the model has kinks: it ends
@@ -136,14 +135,12 @@ class Minimum(NamedTuple):
 class Watch:
     """The searches of one fit as they go on."""
 
-    portion: int = 2  # steps between two looks
     ends: list[Minimum] = field(default_factory=list)  # of the searches that hold no parameter, so far
     begun: float = field(default_factory=time.monotonic)  # s, of the clock
     deadline: float = np.inf  # s, of the clock, when searches end wherever they are
 
-    def saw(self, minimum: Minimum, seconds: float, *, first: bool, free: bool) -> None:
-        """Where a search is after a portion that took some seconds; `first`: its first one."""
-        self.portion = 2 * self.portion if seconds < BRIEF else max(self.portion // 2, 1)
+    def saw(self, minimum: Minimum, *, first: bool, free: bool) -> None:
+        """Where a search is after a step; `first`: its first one."""
         if free:
             self.ends[len(self.ends) - (not first) :] = [minimum]
 
@@ -168,29 +165,26 @@ def minimise(
 ) -> Outcome:
     """Search for the minimum from the dimensionless unknowns z.
 
-    `held` are values at which parameters are held, NaN for those that are free. The steps are done in portions, so that
-    progress can be shown, and the search can be interrupted. It ends early where the cost is clearly above `closing`.
+    `held` are values at which parameters are held, NaN for those that are free. It is looked at after each step,
+    so that progress can be shown, and it can be interrupted. It ends early where the cost is clearly above `closing`.
     """
     watch, reach, steps, known = WATCHED.get() or Watch(), np.array([1.0, SHORTER]), 0, None
     costs: list[float] = []
     at = np.full(len(z), np.nan) if held is None else held
     with stage("step 1") as here:
         while True:
-            begun, portion = time.monotonic(), min(watch.portion, problem.max_steps - steps)
-            if known is None and np.isfinite(closing):
-                portion = 0  # a look at the first place may do
+            step = known is not None or np.isinf(closing)  # or else a look at the first place, which may do
             *found, known, reach, ended = _descend(
-                problem, z, at, known or _nothing_known(problem, z), reach, np.asarray(portion), TOLERANCE
+                problem, z, at, known or _nothing_known(problem, z), reach, np.asarray(int(step)), TOLERANCE
             )
             outcome = _outcome(found)
             first, steps, z = steps == 0, steps + int(outcome.num_steps), outcome.z
             minimum = Minimum(problem, outcome._replace(num_steps=np.asarray(steps)))
-            now = time.monotonic()
-            watch.saw(minimum, now - begun, first=first, free=held is None)
+            watch.saw(minimum, first=first, free=held is None)
             costs.append(float(outcome.cost))
             if minimum.is_enough(closing) or _has_stalled(costs, problem.noteworthy):
                 return minimum.outcome._replace(solved=np.asarray(True))
-            if ended or steps >= problem.max_steps or now > watch.deadline:
+            if ended or steps >= problem.max_steps or time.monotonic() > watch.deadline:
                 return minimum.outcome
             if SHOWN.get():
                 here.what = watch.in_words(minimum) if held is None else minimum.in_words
@@ -241,7 +235,7 @@ class _TrustRegion(optx.AbstractSearch):
     """
 
     reach: Float[Numbers, " 2"]  # of the first step, and the factor on it if that is not taken
-    portion: Int[Numbers, ""]  # steps after which the search pauses
+    steps: Int[Numbers, ""]  # after which the search pauses
     tolerance: float
 
     def init(self, y, f_info_struct):
@@ -260,12 +254,12 @@ class _TrustRegion(optx.AbstractSearch):
         size = state.size * jnp.where(useful, factor, state.shrink)
         shrink = jnp.where(useful, jnp.where(first_step, state.shrink, SHORTER), state.shrink / 2)
         new = _Reach(size, shrink, state.num_steps + 1)
-        paused = optx.RESULTS.where(new.num_steps < self.portion, result, optx.RESULTS.nonlinear_max_steps_reached)
+        paused = optx.RESULTS.where(new.num_steps < self.steps, result, optx.RESULTS.nonlinear_max_steps_reached)
         return size, accept | rounding | short, paused, new
 
 
 class _Known(NamedTuple):
-    """What is known of the first place of a portion."""
+    """What is known of the place from which a step begins."""
 
     residual: Float[Numbers, " m"]
     slope: Float[Numbers, "m n"]
@@ -306,13 +300,13 @@ def _descend(
     held: Float[Numbers, " n"],
     known: _Known,
     reach: Float[Numbers, " 2"],
-    portion: Int[Numbers, ""],
+    steps: Int[Numbers, ""],
     tolerance: float,
 ) -> tuple[Any, ...]:
-    """A portion of steps from z: the entries of an outcome, what is known of its place, the reach, whether it ended.
+    """So many steps from z: the entries of an outcome, what is known of its place, the reach, whether it ended.
 
     With an explicit Jacobian, the optimiser need not differentiate the model for every product with it. The model is
-    evaluated in one place, so that it is traced once, and not again where the portion before has ended.
+    evaluated in one place, so that it is traced once, and not again where the step before has ended.
     """
     first = jnp.asarray(z)
 
@@ -331,7 +325,7 @@ def _descend(
         value, slope = looked(z)
         return value, (value, slope)
 
-    region = _TrustRegion(reach=reach, portion=portion, tolerance=tolerance)
+    region = _TrustRegion(reach=reach, steps=steps, tolerance=tolerance)
     optimiser = eqx.tree_at(lambda o: o.search, optx.LevenbergMarquardt(tolerance, tolerance), region)
     # The optimiser calls it within and without `vmap`. For JAX these are different contexts, and it would trace twice.
     with jax.sharding.use_abstract_mesh(jax.sharding.AbstractMesh((), ())):
