@@ -1,11 +1,14 @@
 """`cddf explore`: a local page on which a body is bent by sliders, compared with data and fitted. Panel and Bokeh."""
 
+import asyncio
 import webbrowser
 from collections.abc import Callable, Sequence
 from html import escape
+from typing import Any
 
 import panel as pn
 from panel.io.server import get_server
+from tornado.websocket import WebSocketClosedError
 
 from ..errors import InputError
 from ..files.manipulator_file import RobotFile
@@ -49,6 +52,12 @@ def page_of(exploration: Exploration, source: str, threads: Threads) -> pn.Colum
     return column(head, notice, column(*parts.values(), css_classes=["places"]), css_classes=["whole"])
 
 
+def tell_unless_closed(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    """What goes wrong in the loop is told, but for a message to a page that was closed while it was computed."""
+    if not isinstance(context.get("exception"), WebSocketClosedError):
+        loop.default_exception_handler(context)
+
+
 def _escaped(text: str) -> str:
     return escape(" ".join(text.split()))
 
@@ -87,5 +96,6 @@ def serve(
         say(f"{url}  (Ctrl-C ends it)")
         if browser:
             server.io_loop.add_callback(webbrowser.open, url)
+        server.io_loop.add_callback(lambda: asyncio.get_running_loop().set_exception_handler(tell_unless_closed))
         server.start()
         server.io_loop.start()  # Panel ends it on Ctrl-C
