@@ -3,6 +3,8 @@
 import asyncio
 
 import pytest
+
+pytest.importorskip("panel")
 from tornado.websocket import WebSocketClosedError
 
 from cddf_jax.explorer.server import tell_unless_closed
