@@ -160,7 +160,7 @@ def figure(loops: list[cddf.Measurements], found: dict[str, cddf.Fit], *, across
             axes.set_title(f"tendon {number}")
         for axes in panels[6:]:
             axes.set(xlabel="Displacement (mm)")
-        drawn.supylabel(f"Way of the tip {'across the' if across else 'in the'} plane of bending (mm)")
+        drawn.supylabel(f"Way of the tip {'across' if across else 'in'} the plane of bending (mm)", fontsize="medium")
         draw.common_legend(drawn, panels)
     return drawn
 
