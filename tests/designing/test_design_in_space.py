@@ -67,6 +67,7 @@ def pose(pull=8.0, angle=2.0):
     )
 
 
+@pytest.mark.slow
 def test_the_least_tension_for_a_pose():
     """The pose tells the angle and T d: the tendon goes as far out as it may, and T is proportional to 1 / d."""
     found, tension = pose(), 8.0 * EJ / FARTHEST

@@ -117,6 +117,7 @@ def test_derivatives_in_both_modes_also_where_the_tendon_is_slack():
     assert value[-1] > 0  # slack, and friction still bends the body
 
 
+@pytest.mark.slow
 def test_lanes_of_a_batch():
     """A friction moment below 0 is no number of a body: its lane fails alone."""
 

@@ -49,6 +49,7 @@ def test_without_an_estimate_the_answer_is_the_same(pair):
     np.testing.assert_allclose(on[0], on[1], rtol=1e-10)
 
 
+@pytest.mark.slow
 def test_small_steps_have_few_increments_and_stay_accurate():
     """A loop of small steps differs from one with four times the increments by their error; a tiny step has two."""
     turns = np.linspace(0.0, 2 * np.pi, 24)

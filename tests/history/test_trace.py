@@ -253,6 +253,7 @@ def test_derivatives_in_both_modes_are_those_of_the_closed_form():
     np.testing.assert_allclose(forward[:, 0], difference, rtol=1e-7)
 
 
+@pytest.mark.slow
 def test_lanes_and_single_precision():
     def total(scale):
         def traced(mu):
@@ -331,6 +332,7 @@ def test_the_front_has_its_derivatives():
         np.testing.assert_allclose(found, differences, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_a_history_carried_by_scan():
     """A history keeps its structure, from rest on; the states are those of the whole path."""
 

@@ -45,6 +45,7 @@ def far_away(**more):
     return cddf.Measurements.from_columns("simulated", base_tension=PULLS, tip_tension=tension, **(seen | more))
 
 
+@pytest.mark.slow
 def test_one_word_frees_the_whole_pose_and_its_start_is_found():
     """The truth is that of `far_away`; the body starts at another modulus and friction."""
     body = paper_body("exact", friction_coefficient=0.2, youngs_modulus=4e5)
@@ -133,6 +134,7 @@ def test_poses_of_three_tendons_in_the_frame_of_a_tracker():
     assert "identified" not in fit.status.values()
 
 
+@pytest.mark.slow
 def test_the_direction_of_the_tip_turns_with_the_camera_and_does_not_move():
     """Turned by SciPy; against the frame of the tip that `solve` gives."""
     body = dataclasses.replace(paper_body("exact"), tendons=(cddf.Tendon(0.01, angle=1.0),))

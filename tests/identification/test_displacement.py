@@ -71,6 +71,7 @@ def test_twice_the_modulus_and_half_the_compliance_give_the_same_shape():
     np.testing.assert_allclose(stiff.tip_angle, LOOP / D, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_loop_that_runs_backwards_is_refused():
     """A body that is bent less on the way back than on the way there."""
     pulled = 1e-3 * np.array([*np.linspace(0, 12, 11), 10.5, 9, 7.5, 6, 4.5, 6.5, 8, 5, 3, 1])
@@ -296,6 +297,7 @@ def test_turns_of_either_kind_of_column_are_told_in_its_unit():
 # --- displacements as readings ----------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_displacement_beside_base_tensions_is_a_reading():
     """With the tensions known, the displacement is d times the angle plus C T: it holds the compliance."""
     pulls = np.array([5.0, 10.0, 15.0, 20.0])

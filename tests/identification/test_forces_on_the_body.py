@@ -22,6 +22,7 @@ def rows_of(body, table, **how):
     return experiment_of(table, body, **how).predict(body, {}, 12)
 
 
+@pytest.mark.slow
 def test_small_forces_bend_a_cantilever():
     """Tip deflections F s^2 (3 L - s) / 6 E I of forces at s; of both at once their sum, as they are small."""
     forces = 1e-5 * np.array([(1.0, 0.0), (0.0, -2.0), (1.0, -2.0)])  # at PLACE and at the tip, N

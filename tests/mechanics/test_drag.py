@@ -272,6 +272,7 @@ def jacobians(name):
 
 
 @pytest.mark.parametrize("name", ["in", "slack", "out"])
+@pytest.mark.slow
 def test_derivatives_by_drag_and_tension(name):
     """Against central differences of the closed form, whose error is of the size 1e-9 of the value over the step."""
     _, tension, direction, _ = LANES[name]

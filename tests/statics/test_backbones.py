@@ -79,6 +79,7 @@ def reference(x: Numbers = Numbers()) -> np.ndarray:
     return np.array([PULL * np.exp(-MU * theta), angle, 10 * u, 10 * v, 100 * moment])
 
 
+@pytest.mark.slow
 def test_a_backbone_with_discs_against_scipy_and_its_lanes():
     nominal = Numbers()
     lanes = [

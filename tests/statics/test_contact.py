@@ -28,6 +28,7 @@ def bent(angle, body=ROD):
 
 
 @pytest.mark.parametrize("angle", [60.0, 359.9, 360.1, 800.0])
+@pytest.mark.slow
 def test_a_tube_touches_itself_from_a_full_circle_on(angle):
     """Two places of a circle of radius rho that lie on each other are 2 pi rho apart, or a multiple."""
     found = cddf.self_contact(bent(angle))

@@ -268,6 +268,7 @@ def good():
     return derivatives(between_good_ones(*GOOD_LANES[0]))
 
 
+@pytest.mark.slow
 def test_a_failing_lane_reports_itself_and_spoils_nothing():
     for failure, (density, loads, expected) in BAD_LANES.items():
         found = derivatives(between_good_ones(density, loads))

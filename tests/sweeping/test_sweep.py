@@ -444,6 +444,7 @@ def test_bad_input_is_named(case):
     assert re.search(message, refused(cddf.sweep, axes=axes, **({"manipulator": paper_body()} | options)))
 
 
+@pytest.mark.slow
 def test_a_load_beside_the_body_is_not_physical():
     axes = {"loads.points.0.arc_length": [0.1, 0.15]}
     answer = cddf.sweep(paper_body("exact"), axes, outputs=["tip_angle"], **HUNG)
