@@ -285,6 +285,7 @@ def test_derivatives_by_drag_and_tension(name):
         np.testing.assert_allclose(mode, expected, rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_derivatives_where_there_is_no_tension():
     """Slack from the base on nothing changes; sliding out T' = w + a T^2 starts at 0, so that T is near w s."""
     h = 1e-4 * W

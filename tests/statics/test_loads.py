@@ -296,6 +296,7 @@ def slope(function, at, direction, h=1e-4):
     return (function(at + h * direction) - function(at - h * direction)) / (2 * h)
 
 
+@pytest.mark.slow
 def test_derivatives_by_every_number():
     """Forward and reverse against differences of the reference: h^2 and its 1e-11 over h leave 1e-6."""
     found, ones = good(), np.ones(len(NUMBERS))
