@@ -415,7 +415,7 @@ def test_a_minimum_at_a_kink():
     assert not any("kink" in remark for remark in smooth.remarks)
 
 
-def test_a_search_that_a_kink_holds_up_brings_the_others_to_their_minimum():
+def test_a_kink_in_one_parameter_does_not_keep_the_others_from_their_minimum():
     """By hand: (5 |a - 2| + 0.5)^2 + (0.1 b - 3)^2 is least at 2 and 30. It starts at the kink; b is steeper."""
 
     def predict(p):
