@@ -39,6 +39,10 @@ from .problem import (
     strain_of,
     unbent,
 )
+from .truncation_error import missed_in_place, missed_in_turning
+
+# the states at the starts, the nodes and the ends of the elements, the elastic strain at the nodes, and what they miss
+Along = tuple[State, State, State, Array, Array | None]
 
 
 class Part(NamedTuple):
@@ -54,28 +58,23 @@ class Part(NamedTuple):
     strain: Array | None  # the elastic strain there, approximately; None where it has a closed form
 
 
-def march(
-    problem: Problem, guess: Nodal, strain: Array | None = None, whole: bool = False
-) -> tuple[State, State, State, Array]:
+def march(problem: Problem, guess: Nodal, strain: Array | None = None, whole: bool = False) -> Along:
     """One iteration: shape, friction and moment from base to tip, by a scan over the elements.
 
     Args:
         problem: the body.
         guess: the unknowns at its nodes.
         strain: the elastic strain there, approximately, from which Newton's method starts; None to start from zero.
-        whole: whether wrap angle and position are integrated as well.
-
-    Returns:
-        The states at the starts, the nodes and the ends of the elements, and the elastic strain at the nodes.
+        whole: whether wrap angle and position are integrated as well, and errors estimated.
     """
     outboard = problem.outboard
     forces = (outboard.starts, outboard.nodes) if _has_headings(problem) else (None, None)
     parts = Part(problem.elements.width, problem.nodes, problem.joints, *forces, outboard.drops, guess, strain)
 
-    def element(arriving: State, part: Part) -> tuple[State, tuple[State, State, State, Array]]:
+    def element(arriving: State, part: Part) -> tuple[State, Along]:
         start = _across_joint(problem, arriving, part)
-        nodes, end, elastic = _along_element(problem, start, part)
-        return end, (start, nodes, end, elastic)
+        nodes, end, *others = _along_element(problem, start, part)
+        return end, (start, nodes, end, *others)
 
     return jax.lax.scan(element, _at_base(problem, whole), parts)[1]
 
@@ -99,19 +98,20 @@ def _at_base(problem: Problem, whole: bool) -> State:
     )
 
 
-def _along_element(problem: Problem, start: State, part: Part) -> tuple[State, State, Array]:
-    """The states at the nodes and at the end of an element, and the elastic strain at the nodes."""
+def _along_element(problem: Problem, start: State, part: Part) -> tuple[State, State, Array, Number | None]:
+    """The states at the nodes and at the end of an element, the elastic strain at the nodes, and what they miss."""
     spent = _onwards(start.pull.spent, part.width, spent_rate(problem.direction, part.section, part.guess.ratio))
     tensions = _tensions(problem, start, part, Pull(part.guess.ratio, spent[0]))
     strains = _strains(problem, part, tensions)
     heading, axis, moment_rate = _headings(problem, start, part, tensions, strains)
-    ratio, wrap = _turned(problem, start, part, tensions, strains, moment_rate)
-    moment = _onwards(
-        start.moment, part.width, 0.0 * _moments(problem, part.guess) if moment_rate is None else moment_rate
-    )
-    rows = zip(map(Pull, ratio, spent), heading, moment, wrap, _onwards(start.position, part.width, axis), strict=True)
+    ratio, wrap, missed = _turned(problem, start, part, tensions, strains, moment_rate)
+    if missed is not None and axis is not None:
+        missed = missed + missed_in_place(problem, part.width, axis, tensions.places)
+    moments = 0.0 * _moments(problem, part.guess) if moment_rate is None else moment_rate
+    moment, position = _onwards(start.moment, part.width, moments), _onwards(start.position, part.width, axis)
+    rows = zip(map(Pull, ratio, spent), heading, moment, wrap, position, strict=True)
     nodes, end = (State(pull, phi, m, None, None, theta, place) for pull, phi, m, theta, place in rows)
-    return nodes, end, jax.vmap(problem.geometry.elastic)(part.section, tensions.at_nodes(strains))
+    return nodes, end, jax.vmap(problem.geometry.elastic)(part.section, tensions.at_nodes(strains)), missed
 
 
 Both = tuple[Array | None, Array | None]  # a value at the nodes of an element, and at its end
@@ -171,18 +171,19 @@ def _tensions(problem: Problem, start: State, part: Part, pull: Pull) -> Tension
 
 def _turned(
     problem: Problem, start: State, part: Part, tensions: Tensions, strains: Array, moment_rate: Array | None
-) -> tuple[tuple[Array, Array], Both]:
-    """r, and the wrap angle where it is asked for, at the nodes and at the end."""
+) -> tuple[tuple[Array, Array], Both, Number | None]:
+    """R at the nodes and at the end; where it is asked for likewise the wrap angle, and what the nodes miss."""
     geometry, whole = problem.geometry, start.wrap_angle is not None
     turning = _turning(problem, part, tensions, strains, moment_rate)
     rates = geometry.scaled(turning, ratio_factor(part.section, tensions.ratios))
     rates = jnp.concatenate([rates, turning], axis=2) if whole else rates
     found = tensions.totals(part.width, rates, geometry.size, geometry.gains if problem.has_kinks else None)
-    (growth, last), wrap = found, (None, None)
+    (growth, last), wrap, missed = found, (None, None), None
     if start.wrap_angle is not None:
+        missed = missed_in_turning(problem, part.width, rates)
         (growth, there), (last, total) = (jnp.split(each, 2, axis=-1) for each in found)
         wrap = start.wrap_angle + there, start.wrap_angle + total
-    return (start.ratio + problem.direction * growth, start.ratio + problem.direction * last), wrap
+    return (start.ratio + problem.direction * growth, start.ratio + problem.direction * last), wrap, missed
 
 
 def _moments(problem: Problem, guess: Nodal) -> Float[Array, "p *components"]:
@@ -259,7 +260,8 @@ class FixedPoint(eqx.Module):
             values, count, change, good = fixed_point(update, guess, **settings, acceptable=_acceptable, off=off)
         found = self.finish(problem, values)
         good = good & jnp.all(found.tip.ratio > 0)
-        return Solution(found.starts, found.nodes, found.ends, count, change, good, (change <= least) & ~good)
+        locked = (change <= least) & ~good
+        return Solution(found.starts, found.nodes, found.ends, count, change, good, locked, found.missed)
 
     def improve(
         self, problem: Problem, guess: Nodal, strain: Array | None = None, before: Number | float = 0.0
@@ -281,10 +283,15 @@ class FixedPoint(eqx.Module):
         return found if _has_headings(problem) else _with_frames(problem, found, along[3])
 
     def _judged(
-        self, problem: Problem, guess: Nodal, along: tuple[State, State, State, Array], before: Number | float
+        self,
+        problem: Problem,
+        guess: Nodal,
+        along: Along,
+        before: Number | float,
     ) -> Solution:
         """What a march found, and whether it has changed so little that it is the solution."""
-        starts, nodes, ends = _solved(problem, *along)
+        *states, missed = along
+        starts, nodes, ends = _solved(problem, *states)
         better, guess = without_derivative((nodal(problem, nodes), guess))  # their change needs no derivative
         change = relative_size(minus(better, guess), better)
         positive = decided(jnp.all(ends.ratio > 0) & jnp.all(better.ratio > 0))
@@ -293,7 +300,8 @@ class FixedPoint(eqx.Module):
         still = (change * change <= least * jnp.maximum(before, change)) & (change <= tol.LAST_GAIN * least)
         still = decided(still)
         # from a poor guess r may pass below zero and come back
-        return Solution(starts, nodes, ends, jnp.ones_like(change), change, still & positive, still & ~positive)
+        ended = jnp.ones_like(change), change, still & positive, still & ~positive
+        return Solution(starts, nodes, ends, *ended, 0.0 if missed is None else jnp.sum(missed))
 
     def _tolerance(self, problem: Problem) -> float:
         return max(1e-12, round_off(problem.elements.edges.dtype)) if self.tolerance is None else self.tolerance
@@ -356,7 +364,8 @@ def _with_frames(problem: Problem, found: Solution, elastic: Array) -> Solution:
 
     starts = whole(found.starts, frames[0][:-1], places[0][:-1])
     nodes, ends = whole(found.nodes, frames[1], places[1]), whole(found.ends, frames[0][1:], places[0][1:])
-    return Solution(starts, nodes, ends, found.num_iterations, found.residual, found.converged, found.locked)
+    missed = found.missed + jnp.sum(jax.vmap(partial(missed_in_place, problem))(cut.width, axis))
+    return Solution(starts, nodes, ends, found.num_iterations, found.residual, found.converged, found.locked, missed)
 
 
 def _frames(cut: Elements, strain: Array) -> tuple[Array, Array]:

@@ -137,6 +137,7 @@ class Solution(eqx.Module):
     residual: Number  # of the method itself, relative: the last change of the fixed point
     converged: Bool[Array, ""]
     locked: Bool[Array, ""]  # the tension of a tendon sliding out grows without bound
+    missed: Number | float = 0.0  # by the nodes of all elements, see `missed_in_element`; 0 before the last iteration
 
     @property
     def tip(self) -> State:
@@ -177,16 +178,14 @@ def lay_out(
     direction: PerTendon,
     nodes: int,
     loads: Loads | None = None,
-    cut: Elements | None = None,
     rough: bool = False,
 ) -> Problem:
-    """Cut the body into elements, unless `cut` holds them, and evaluate its cross-sections.
+    """Cut the body into elements and evaluate its cross-sections.
 
     A rough problem passes over kinks: each smooth piece is one element.
     """
     geometry = geometry_of(manipulator)
-    if cut is None:
-        cut = elements_of(manipulator, nodes, loads, rough)
+    cut = elements_of(manipulator, nodes, loads, rough)
     nudge = edge_nudge(cut)
     section = jax.vmap(lambda s: guarded_section(manipulator, s))
     along = section(jnp.concatenate([nudge[None], cut.nodes.ravel(), cut.edges[-1:] - nudge]))

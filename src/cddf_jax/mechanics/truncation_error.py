@@ -1,61 +1,49 @@
-"""How far the answer of a solve may be off: what the Gauss nodes of the elements miss."""
+"""How far the answer of a solve may be off: what the Gauss nodes of the elements miss.
 
-from functools import partial
+A rate that the nodes of an element resolve has Legendre coefficients that fall off. An integral by Gauss nodes misses
+the last ones times those that follow: what the polynomial leaves out of the rate, times what it leaves out of the
+weight of the rate in the answer. Where a tendon turns over or becomes slack, that weight has a kink.
+"""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..numerics import tolerances as tol
 from ..numerics.arrays import largest
-from ..numerics.elements import Elements
-from .march import FixedPoint
-from .problem import Method, Number, Problem, Solution, State, lay_out, nodal, spent_scale
+from ..numerics.elements import last_coefficients
+from .problem import Number, Problem, Solution
 
 
-def truncation_error(problem: Problem, solution: Solution, method: Method) -> Number:
-    """Estimated error of tip tension (relative), tip position (per length) and tip angle (rad), the largest.
+def truncation_error(problem: Problem, solution: Solution) -> Number:
+    """Estimated error of tip tension (relative), tip position (per length) and tip angle (rad), the largest."""
+    least = jnp.clip(jnp.min(solution.tip.ratio), 1e-3, 1.0)  # r of a tendon that slides out falls, its errors do not
+    return jnp.maximum(tol.SAFETY * solution.missed / least, _unseen_turning(problem))
 
-    With drag, errors of the tip tension are relative to the tip tension without drag.
-    One more iteration is made with more nodes in each element, from the polynomials of the solution; several where the
-    tension may have a kink, which polynomials round off. By how much the gains over the elements differ is summed over
-    the elements.
+
+def missed_in_turning(problem: Problem, width: Number, rates: Float[Array, "branches p ..."]) -> Number:
+    """What the nodes of an element miss of r and of the turning of the tendons, from their rates on each branch."""
+    rates = rates if problem.has_kinks else problem.geometry.size(rates)
+    last, following = last_coefficients(width * jnp.moveaxis(jax.lax.stop_gradient(rates), 1, 0))
+    return largest(last * following)
+
+
+def missed_in_place(
+    problem: Problem, width: Number, axis: Float[Array, "p components"], places: Float[Array, " places"] | None = None
+) -> Number:
+    """What the nodes of an element miss of the position over the length, and because of kinks.
+
+    Args:
+        problem: the body.
+        width: of the element, m.
+        axis: at its nodes.
+        places: of kinks, in [0, 1]; 1 where there is none. None where they are not known.
     """
-    cut, once = problem.elements, FixedPoint()
-    finer = Elements.between(cut.edges, cut.order + tol.MORE_NODES)
-    fine = lay_out(problem.manipulator, problem.base_tension, problem.direction, 0, problem.loads, finer)
-    fine = eqx.tree_at(lambda fine: fine.base_moment, fine, problem.base_moment)
-    resample = partial(cut.resample, places=finer.rule.nodes)
-    state = jax.tree.map(resample, solution.starts, solution.nodes, solution.ends)
-
-    def again(last: tuple, _: None) -> tuple[tuple, Solution]:
-        found = once.finish(fine, *last)
-        return (nodal(fine, found.nodes), found.nodes.strain), found
-
-    count = tol.KINK_ITERATIONS if problem.has_kinks else 1
-    found = jax.tree.map(lambda x: x[-1], jax.lax.scan(again, (nodal(fine, state), state.strain), length=count)[1])
-    if not isinstance(method, FixedPoint):  # it may have ended before it settled, which is another error
-        solution = once.finish(problem, nodal(problem, solution.nodes), solution.nodes.strain)
-    missed = jnp.sum(jnp.abs(_gains(problem, found) - _gains(problem, solution)), axis=0)
-    safety = tol.SAFETY * tol.WITH_KINKS if problem.has_kinks else tol.SAFETY
-    rounding = 16 * float(jnp.finfo(missed.dtype).eps)  # which `solve` adds by itself
-    return jnp.maximum(safety * jnp.maximum(largest(missed) - rounding, 0.0), _unseen_turning(problem))
-
-
-def _gains(problem: Problem, solution: Solution) -> Float[Array, "P values"]:
-    """The gains over the elements of all that is integrated, each over its scale."""
-    tip = solution.tip
-    scale = spent_scale(problem, tip.pull)
-
-    def scaled(state: State) -> Float[Array, " values"]:
-        ratio = state.ratio / tip.ratio
-        spent = [] if scale is None or state.pull.spent is None else [state.pull.spent / scale]
-        turned = (2.0 if problem.geometry.has_frames else 1.0) * state.heading  # half an angle stands in a quaternion
-        parts = ratio, *spent, turned, state.position / problem.elements.edges[-1], state.moment / problem.moment_scale
-        return jnp.concatenate([jnp.atleast_1d(part) for part in parts])
-
-    return jnp.diff(jnp.concatenate([jax.vmap(scaled)(solution.starts), scaled(tip)[None]]), axis=0)
+    last, following = last_coefficients(width / problem.elements.edges[-1] * jax.lax.stop_gradient(axis))
+    kink = 0.0 if not problem.has_kinks else tol.AT_KINKS
+    if places is not None:
+        kink = jnp.where(jnp.min(places) < 1, tol.AT_KINK if len(places) == 1 else tol.AT_KINKS, 0.0)
+    return largest(last * (following + kink))
 
 
 def _unseen_turning(problem: Problem) -> Number:

@@ -13,12 +13,14 @@ from ..mechanics import bending
 from ..mechanics.directions import Directions, not_stated
 from ..mechanics.friction import PerTendon, Pull
 from ..mechanics.geometry import axis_of
+from ..mechanics.march import FixedPoint
 from ..mechanics.problem import (
     Problem,
     Solution,
     State,
     lay_out,
     line_up,
+    nodal,
     starts_of_newton,
     strain_along,
     tension_of,
@@ -78,6 +80,7 @@ def _as_solution(problem: Problem, answer: FixedPointResult) -> Solution:
         residual=answer.change / cut.edges[-1],
         converged=answer.converged,
         locked=jnp.zeros_like(answer.converged),
+        missed=FixedPoint().finish(problem, nodal(problem, nodes), strains[1]).missed,
     )
 
 

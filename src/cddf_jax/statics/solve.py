@@ -175,15 +175,15 @@ def _solve(
     setup = Setup(manipulator, direction, loads, method, nodes, to_find)
     balance, found = _equilibrium(setup, given, targets)
     physical = finite & is_physical(asked[0], asked[1], asked[2], balance.problem)
-    return _outputs(balance, found, physical & are_possible(targets, balance.problem), method)
+    return _outputs(balance, found, physical & are_possible(targets, balance.problem))
 
 
-def _outputs(balance: Balance, found: Found, physical: Bool[Array, ""], method: Method) -> Equilibrium:
+def _outputs(balance: Balance, found: Found, physical: Bool[Array, ""]) -> Equilibrium:
     """What `solve` returns."""
     problem, solution, path = balance.problem, balance.solution, balance.load_path
     tip = solution.tip
     solved = physical & path.converged
-    truncation = balance.error_amplification * truncation_error(*without_derivative((problem, solution)), method)
+    truncation = balance.error_amplification * truncation_error(*without_derivative((problem, solution)))
     round_off = 4 * float(jnp.finfo(truncation.dtype).eps)
     contradicted = solved & is_contradicted(problem.direction, balance.travel, problem.elements.edges[-1])
     dense = _dense(problem, solution, solved)
