@@ -8,6 +8,8 @@ zero. By variation of constants, T = (T_base - c) / r with r' = direction mu |ps
 functions here state the same law and must be changed together; `tests/mechanics/test_friction.py` compares them.
 """
 
+import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -50,6 +52,29 @@ def tension_rate(direction: PerTendon, section: AnySection, turning: PerTendon, 
 def ratio_factor(section: AnySection, ratio: PerTendon) -> PerTendon:
     """The factor of direction |psi'| in r' = direction mu |psi'| |r|; r < 0 only beyond where a tendon locks."""
     return section.friction_coefficient * jnp.abs(ratio)
+
+
+def wrap_of(loss: PerTendon, growth: PerTendon) -> PerTendon:
+    """The wrap angle theta, rad, by the capstan law r = exp(loss theta).
+
+    Args:
+        loss: direction mu.
+        growth: the integral of theta' r, so that r = 1 + loss growth.
+    """
+    grown = jnp.maximum(loss * growth, -1.0 + 1e-6)  # -1 where a tendon that slides out locks
+    return growth * _near_zero(lambda x: jnp.log1p(x) / x, [(-1.0) ** k / (k + 1) for k in range(7)], grown)
+
+
+def growth_beyond(direction: PerTendon, section: AnySection, turn: PerTendon, ratio: PerTendon) -> PerTendon:
+    """The integral of theta' r over a finite angle `turn` >= 0, rad, with r before it."""
+    angle = direction * section.friction_coefficient * turn
+    return ratio * turn * _near_zero(lambda x: jnp.expm1(x) / x, [1 / math.factorial(k + 1) for k in range(7)], angle)
+
+
+def _near_zero(function: Callable[[Array], Array], series: list[float], x: Array) -> Array:
+    """A function of x, near 0 by the coefficients of its series."""
+    small = jnp.abs(x) < 1e-3
+    return jnp.where(small, jnp.polyval(jnp.asarray(series[::-1], x.dtype), x), function(jnp.where(small, 1.0, x)))
 
 
 def is_proportional(section: AnySection) -> bool:

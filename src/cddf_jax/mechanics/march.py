@@ -7,6 +7,7 @@ the shape from the last unknowns, and new unknowns from that shape. With one unl
 depend on r, see `Problem.is_quadrature`, and one iteration is exact.
 """
 
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -21,11 +22,12 @@ from ..numerics.arrays import all_finite, computed_once, decided, largest, large
 from ..numerics.elements import Elements, totals
 from ..numerics.fixed_point import fixed_point, minus, newton, round_off, without_derivative
 from ..numerics.rotations import about, direction_of, parts_of, product, sum_of, turned_across, turned_by
-from ..robot.cross_section import AnySection, spatial, where_present
+from ..robot.cross_section import AnySection, where_present
 from . import space
-from .friction import PerTendon, Pull, is_proportional, ratio_beyond, ratio_factor, spent_rate
+from .friction import PerTendon, Pull, growth_beyond, is_proportional, ratio_beyond, ratio_factor, spent_rate, wrap_of
 from .kinks import Tensions, tensions_along, with_smooth_ratios
 from .problem import (
+    BodyStates,
     Drops,
     Joints,
     Nodal,
@@ -36,8 +38,8 @@ from .problem import (
     nodal,
     ones_at_base,
     starts_of_newton,
+    strain_along,
     strain_of,
-    unbent,
 )
 from .truncation_error import missed_in_place, missed_in_turning
 
@@ -58,14 +60,13 @@ class Part(NamedTuple):
     strain: Array | None  # the elastic strain there, approximately; None where it has a closed form
 
 
-def march(problem: Problem, guess: Nodal, strain: Array | None = None, whole: bool = False) -> Along:
+def march(problem: Problem, guess: Nodal, strain: Array | None = None) -> Along:
     """One iteration: shape, friction and moment from base to tip, by a scan over the elements.
 
     Args:
         problem: the body.
         guess: the unknowns at its nodes.
         strain: the elastic strain there, approximately, from which Newton's method starts; None to start from zero.
-        whole: whether wrap angle and position are integrated as well, and errors estimated.
     """
     outboard = problem.outboard
     forces = (outboard.starts, outboard.nodes) if _has_headings(problem) else (None, None)
@@ -76,7 +77,7 @@ def march(problem: Problem, guess: Nodal, strain: Array | None = None, whole: bo
         nodes, end, *others = _along_element(problem, start, part)
         return end, (start, nodes, end, *others)
 
-    return jax.lax.scan(element, _at_base(problem, whole), parts)[1]
+    return jax.lax.scan(element, _at_base(problem), parts)[1]
 
 
 def _has_headings(problem: Problem) -> bool:
@@ -84,18 +85,27 @@ def _has_headings(problem: Problem) -> bool:
     return problem.loads is not None or not problem.geometry.has_frames
 
 
-def _at_base(problem: Problem, whole: bool) -> State:
-    ones, geometry = ones_at_base(problem), problem.geometry
+def _at_base(problem: Problem) -> State:
+    ones = ones_at_base(problem)
     zero = zero_as(ones)
     return State(
         pull=Pull(ones, None if problem.nodes.drag is None else 0.0 * ones),
-        heading=zero + jnp.asarray(geometry.upright, zero.dtype) if _has_headings(problem) else None,
+        heading=zero + jnp.asarray(problem.geometry.upright, zero.dtype) if _has_headings(problem) else None,
         moment=problem.base_moment + zero,
         force=None,
         strain=None,
-        wrap_angle=0.0 * ones if whole else None,
-        position=zero + jnp.zeros(geometry.components, zero.dtype) if whole and _has_headings(problem) else None,
+        growth=0.0 * ones,
     )
+
+
+def unbent(problem: Problem) -> BodyStates:
+    """The states of a body without friction, on which its loads do not act yet."""
+    geometry, base, shape = problem.geometry, _at_base(problem), problem.elements.nodes.shape
+    starts, nodes = (
+        jax.tree.map(lambda x, at=at: jnp.broadcast_to(x, (*at, *x.shape)), base) for at in (shape[:1], shape)
+    )
+    elastic = jnp.multiply.outer(0.0 * nodes.ratio[..., 0], jnp.zeros(geometry.strain_shape(problem.manipulator)))
+    return _solved(problem, starts, nodes, starts, elastic)
 
 
 def _along_element(problem: Problem, start: State, part: Part) -> tuple[State, State, Array, Number | None]:
@@ -104,14 +114,19 @@ def _along_element(problem: Problem, start: State, part: Part) -> tuple[State, S
     tensions = _tensions(problem, start, part, Pull(part.guess.ratio, spent[0]))
     strains = _strains(problem, part, tensions)
     heading, axis, moment_rate = _headings(problem, start, part, tensions, strains)
-    ratio, wrap, missed = _turned(problem, start, part, tensions, strains, moment_rate)
+    growth, missed = _turned(problem, start, part, tensions, strains, moment_rate)
     if missed is not None and axis is not None:
         missed = missed + missed_in_place(problem, part.width, axis, tensions.places)
     moments = 0.0 * _moments(problem, part.guess) if moment_rate is None else moment_rate
-    moment, position = _onwards(start.moment, part.width, moments), _onwards(start.position, part.width, axis)
-    rows = zip(map(Pull, ratio, spent), heading, moment, wrap, position, strict=True)
-    nodes, end = (State(pull, phi, m, None, None, theta, place) for pull, phi, m, theta, place in rows)
+    rows = zip(growth, spent, heading, _onwards(start.moment, part.width, moments), strict=True)
+    nodes, end = (_beyond(problem, start, *row) for row in rows)
     return nodes, end, jax.vmap(problem.geometry.elastic)(part.section, tensions.at_nodes(strains)), missed
+
+
+def _beyond(problem: Problem, start: State, growth: Array, spent: Array | None, heading: Array, moment: Array) -> State:
+    """The state where the integral of theta' r has grown since the start of the element."""
+    ratio = start.ratio + problem.direction * problem.manipulator.tendon_friction * growth
+    return State(Pull(ratio, spent), heading, moment, None, None, growth=start.growth + growth)
 
 
 Both = tuple[Array | None, Array | None]  # a value at the nodes of an element, and at its end
@@ -171,19 +186,13 @@ def _tensions(problem: Problem, start: State, part: Part, pull: Pull) -> Tension
 
 def _turned(
     problem: Problem, start: State, part: Part, tensions: Tensions, strains: Array, moment_rate: Array | None
-) -> tuple[tuple[Array, Array], Both, Number | None]:
-    """R at the nodes and at the end; where it is asked for likewise the wrap angle, and what the nodes miss."""
-    geometry, whole = problem.geometry, start.wrap_angle is not None
+) -> tuple[tuple[Array, Array], Number | None]:
+    """The integral of theta' r to the nodes and to the end of an element, and what the nodes miss of it."""
+    geometry = problem.geometry
     turning = _turning(problem, part, tensions, strains, moment_rate)
-    rates = geometry.scaled(turning, ratio_factor(part.section, tensions.ratios))
-    rates = jnp.concatenate([rates, turning], axis=2) if whole else rates
-    found = tensions.totals(part.width, rates, geometry.size, geometry.gains if problem.has_kinks else None)
-    (growth, last), wrap, missed = found, (None, None), None
-    if start.wrap_angle is not None:
-        missed = missed_in_turning(problem, part.width, rates)
-        (growth, there), (last, total) = (jnp.split(each, 2, axis=-1) for each in found)
-        wrap = start.wrap_angle + there, start.wrap_angle + total
-    return (start.ratio + problem.direction * growth, start.ratio + problem.direction * last), wrap, missed
+    rates = geometry.scaled(turning, jnp.abs(tensions.ratios))
+    both = tensions.totals(part.width, rates, geometry.size, geometry.gains if problem.has_kinks else None)
+    return both, None if problem.rough else missed_in_turning(problem, part.width, rates)
 
 
 def _moments(problem: Problem, guess: Nodal) -> Float[Array, "p *components"]:
@@ -201,8 +210,8 @@ def _across_joint(problem: Problem, arriving: State, part: Part) -> State:
     inner = part.force_at_start if part.drops is None else part.force_at_start + part.drops.force
     sides = arriving._replace(force=inner), beyond._replace(force=part.force_at_start)
     turn, ratio = turn_at_joint(problem, part.joint, *sides)
-    wrap = None if arriving.wrap_angle is None else arriving.wrap_angle + turn
-    return beyond._replace(pull=arriving.pull._replace(ratio=ratio), wrap_angle=wrap)
+    growth = arriving.growth + growth_beyond(problem.direction, part.joint.before, turn, arriving.ratio)
+    return beyond._replace(pull=arriving.pull._replace(ratio=ratio), growth=growth)
 
 
 def turn_at_joint(problem: Problem, joint: Joints, arriving: State, beyond: State) -> tuple[PerTendon, PerTendon]:
@@ -246,7 +255,7 @@ class FixedPoint(eqx.Module):
 
     def __call__(self, problem: Problem) -> Solution:
         update, least = Partial(_improved, problem), self._tolerance(problem)
-        guess = unbent(problem)
+        guess = nodal(problem, unbent(problem).nodes)
         if problem.is_quadrature:
             values = update(jax.lax.stop_gradient(guess))
             change, count = jnp.where(all_finite(values), 0.0, jnp.inf), ones_at_base(problem)[0]
@@ -258,13 +267,17 @@ class FixedPoint(eqx.Module):
                 guess, off = _once(problem, guess)
             settings = {"tolerance": least, "max_iterations": self.max_iterations}
             values, count, change, good = fixed_point(update, guess, **settings, acceptable=_acceptable, off=off)
-        found = self.finish(problem, values)
+        found = finished(problem, self.improve(problem, values))
         good = good & jnp.all(found.tip.ratio > 0)
         locked = (change <= least) & ~good
-        return Solution(found.starts, found.nodes, found.ends, count, change, good, locked, found.missed)
+        return Solution(found.states, count, change, good, locked, found.missed)
 
     def improve(
-        self, problem: Problem, guess: Nodal, strain: Array | None = None, before: Number | float = 0.0
+        self,
+        problem: Problem,
+        guess: Nodal,
+        strain: Array | None = None,
+        before: Number | float = 0.0,
     ) -> Solution:
         """One iteration from a guess; `converged` if its result is the solution.
 
@@ -274,34 +287,18 @@ class FixedPoint(eqx.Module):
             strain: the elastic strain there, that of the iteration before.
             before: the relative change in that iteration, 0 if there was none. It shows how fast they converge.
         """
-        return self._judged(problem, guess, march(problem, guess, strain), before)
-
-    def finish(self, problem: Problem, guess: Nodal, strain: Array | None = None) -> Solution:
-        """As `improve`, with wrap angle and position."""
-        along = march(problem, guess, strain, whole=True)
-        found = self._judged(problem, guess, along, 0.0)
-        return found if _has_headings(problem) else _with_frames(problem, found, along[3])
-
-    def _judged(
-        self,
-        problem: Problem,
-        guess: Nodal,
-        along: Along,
-        before: Number | float,
-    ) -> Solution:
-        """What a march found, and whether it has changed so little that it is the solution."""
-        *states, missed = along
-        starts, nodes, ends = _solved(problem, *states)
-        better, guess = without_derivative((nodal(problem, nodes), guess))  # their change needs no derivative
+        *found, elastic, missed = march(problem, guess, strain)
+        states = _solved(problem, *found, elastic)
+        better, guess = without_derivative((nodal(problem, states.nodes), guess))  # their change needs no derivative
         change = relative_size(minus(better, guess), better)
-        positive = decided(jnp.all(ends.ratio > 0) & jnp.all(better.ratio > 0))
+        positive = decided(jnp.all(states.ends.ratio > 0) & jnp.all(better.ratio > 0))
         # the iteration converges by the factor change / before, so the next change would be this one times that factor
         least = self._tolerance(problem)
         still = (change * change <= least * jnp.maximum(before, change)) & (change <= tol.LAST_GAIN * least)
         still = decided(still)
         # from a poor guess r may pass below zero and come back
         ended = jnp.ones_like(change), change, still & positive, still & ~positive
-        return Solution(starts, nodes, ends, *ended, 0.0 if missed is None else jnp.sum(missed))
+        return Solution(states, *ended, 0.0 if missed is None else jnp.sum(missed))
 
     def _tolerance(self, problem: Problem) -> float:
         return max(1e-12, round_off(problem.elements.edges.dtype)) if self.tolerance is None else self.tolerance
@@ -331,7 +328,7 @@ def _once(problem: Problem, guess: Nodal) -> tuple[Nodal, Number]:
     return _improved(problem, guess), jnp.where(jnp.all(growth == growth[0]), 0.0, jnp.inf)
 
 
-def _solved(problem: Problem, starts: State, nodes: State, ends: State, elastic: Array) -> tuple[State, State, State]:
+def _solved(problem: Problem, starts: State, nodes: State, ends: State, elastic: Array) -> BodyStates:
     """The states with the forces of the loads, and the elastic strain where it has no closed form."""
     outboard, strains = problem.outboard, starts_of_newton(problem, elastic)
     forces = (outboard.starts, outboard.nodes, outboard.ends) if _has_headings(problem) else (None, None, None)
@@ -340,32 +337,31 @@ def _solved(problem: Problem, starts: State, nodes: State, ends: State, elastic:
     if not _has_headings(problem):
         upright = jnp.asarray(problem.geometry.upright, elastic.dtype)
         states = [state._replace(heading=jnp.multiply.outer(1 + 0 * state.ratio[..., 0], upright)) for state in states]
-    return states[0], states[1], states[2]
+    return BodyStates(*states)
 
 
-# --- a body in space without loads, whose rotations follow at the end ------------------------------
+# --- what does not act back on the tensions: found at the end -----------------------------------------
 
 
-def _with_frames(problem: Problem, found: Solution, elastic: Array) -> Solution:
-    """The solution with rotations and position.
-
-    Args:
-        problem: the body.
-        found: without them.
-        elastic: the strain at the nodes less that at rest.
-    """
-    cut, strain = problem.elements, spatial(problem.nodes).rest + elastic
-    frames = _frames(cut, strain)
-    axis = problem.geometry.axis(frames[1], strain)
-    places = cut.integrate(axis)
+def finished(problem: Problem, solution: Solution) -> Solution:
+    """The solution with wrap angle and position, in space without loads also with rotations."""
+    cut, geometry, states = problem.elements, problem.geometry, solution.states
+    strain = strain_along(problem.nodes, problem.base_tension, states.nodes)
+    headings, missed = [state.heading for state in states], solution.missed
+    if not _has_headings(problem):
+        edges, nodes = _frames(cut, strain)
+        headings = [edges[:-1], nodes, edges[1:]]
+    axis = geometry.axis(headings[1], strain)
+    if not _has_headings(problem):
+        missed = missed + jnp.sum(jax.vmap(partial(missed_in_place, problem))(cut.width, axis))
+    edges, nodes = cut.integrate(axis)
+    loss = problem.direction * problem.manipulator.tendon_friction
 
     def whole(state: State, heading: Array, position: Array) -> State:
-        return state._replace(heading=heading, position=position)
+        return state._replace(heading=heading, position=position, wrap_angle=wrap_of(loss, state.growth), growth=None)
 
-    starts = whole(found.starts, frames[0][:-1], places[0][:-1])
-    nodes, ends = whole(found.nodes, frames[1], places[1]), whole(found.ends, frames[0][1:], places[0][1:])
-    missed = found.missed + jnp.sum(jax.vmap(partial(missed_in_place, problem))(cut.width, axis))
-    return Solution(starts, nodes, ends, found.num_iterations, found.residual, found.converged, found.locked, missed)
+    rows = zip(states, headings, (edges[:-1], nodes, edges[1:]), strict=True)
+    return replace(solution, states=BodyStates(*(whole(*row) for row in rows)), missed=missed)
 
 
 def _frames(cut: Elements, strain: Array) -> tuple[Array, Array]:

@@ -117,9 +117,10 @@ class State(NamedTuple):
     heading: Any  # a `Heading`; during the march None in space without loads
     moment: Any  # M_ext, N m, in the fixed frame
     force: Any  # N, newtons, (*points, components); None in space without loads
-    strain: Float[Array, "*points_and_strains"] | None  # the elastic strain, approximately; see `unstrained`
-    wrap_angle: Any = None  # theta, rad, (*points, tendons); None before the last iteration
+    strain: Float[Array, "*points_and_strains"] | None  # the elastic strain, see `starts_of_newton`
+    wrap_angle: Any = None  # theta, rad, (*points, tendons); None before all is `finished`
     position: Any = None  # u, m, (*points, components); likewise
+    growth: Any = None  # the integral of theta' r, by which r grows over direction mu; during the march only
 
     @property
     def ratio(self) -> Float[Array, "*points tendons"]:
@@ -127,12 +128,18 @@ class State(NamedTuple):
         return self.pull.ratio
 
 
-class Solution(eqx.Module):
-    """The answer of a method: the state along the body, and how the iteration ended."""
+class BodyStates(NamedTuple):
+    """The states along the body."""
 
     starts: State  # at the start of every element
     nodes: State  # at every Gauss node
     ends: State  # at the end of every element
+
+
+class Solution(eqx.Module):
+    """The answer of a method: the states along the body, and how the iteration ended."""
+
+    states: BodyStates
     num_iterations: Number
     residual: Number  # of the method itself, relative: the last change of the fixed point
     converged: Bool[Array, ""]
@@ -140,8 +147,12 @@ class Solution(eqx.Module):
     missed: Number | float = 0.0  # by the nodes of all elements, see `missed_in_element`; 0 before the last iteration
 
     @property
+    def nodes(self) -> State:
+        return self.states.nodes
+
+    @property
     def tip(self) -> State:
-        return jax.tree.map(lambda x: x[-1], self.ends)
+        return jax.tree.map(lambda x: x[-1], self.states.ends)
 
 
 class Nodal(NamedTuple):
@@ -344,17 +355,6 @@ def ones_at_base(problem: Problem) -> PerTendon:
     return jnp.ones_like(problem.base_tension) + zero_as(there)
 
 
-def unbent(problem: Problem) -> Nodal:
-    """The unknowns of a body without friction, on which the loads do not act yet."""
-    ones = jnp.broadcast_to(ones_at_base(problem), problem.nodes.offset.shape)
-    if problem.loads is None:
-        return Nodal(ones, None)
-    one, geometry = ones[..., 0], problem.geometry
-    moment = jnp.multiply.outer(0.0 * one, jnp.ones_like(geometry.no_moment))
-    frame = jnp.multiply.outer(one, jnp.asarray(geometry.upright)) if geometry.has_frames else None
-    return Nodal(ones, moment.astype(one.dtype), frame if frame is None else frame.astype(one.dtype))
-
-
 def nodal(problem: Problem, state: State) -> Nodal:
     """The unknowns of a state; those at the nodes are where the next iteration starts."""
     if problem.loads is None:
@@ -364,25 +364,11 @@ def nodal(problem: Problem, state: State) -> Nodal:
     )
 
 
-def unstrained(manipulator: Manipulator, loaded: bool, points: Float[Array, "P p tendons"]) -> Array | None:
-    """The elastic strain of a body without tensions and loads, which is 0; None where the strain has a closed form.
-
-    Without a closed form a state holds the elastic strain approximately, and one step of Newton's method improves it.
-    Whether there is a closed form is static.
-
-    Args:
-        manipulator: the body.
-        loaded: whether loads act.
-        points: numbers at its nodes, one for each tendon.
-    """
-    geometry = geometry_of(manipulator)
-    if geometry.has_closed_strain(manipulator, loaded):
-        return None
-    return jnp.multiply.outer(jnp.zeros_like(points[..., 0]), jnp.zeros(geometry.strain_shape(manipulator)))
-
-
 def starts_of_newton(problem: Problem, elastic: Array) -> tuple[Array | None, Array | None, Array | None]:
     """The elastic strain as states hold it: at the starts, the nodes and the ends of the elements, without derivatives.
+
+    It is approximate, and one step of Newton's method improves it. None where the strain has a closed form, which is
+    static.
 
     Args:
         problem: the body.
@@ -402,7 +388,7 @@ def line_up(base: Array, nodes: Array, tip: Array) -> Array:
 
 def all_points(problem: Problem, solution: Solution) -> tuple[AnySection, State]:
     """The cross-sections and states at base, Gauss nodes and tip."""
-    base = jax.tree.map(lambda x: x[0], solution.starts)
+    base = jax.tree.map(lambda x: x[0], solution.states.starts)
     return problem.points, jax.tree.map(line_up, base, solution.nodes, solution.tip)
 
 

@@ -1,7 +1,6 @@
 """A body in equilibrium, with its derivatives by the implicit function theorem."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -11,13 +10,14 @@ from jaxtyping import Array, Float
 
 from ..mechanics.directions import travel_under_tension
 from ..mechanics.friction import PerTendon
-from ..mechanics.problem import Nodal, Number, Problem, Solution, State, all_points, nodal, strain_of
+from ..mechanics.march import finished
+from ..mechanics.problem import BodyStates, Number, Problem, Solution, State, all_points, nodal, strain_of
 from ..mechanics.tendon_displacement import tendon_displacement
 from ..numerics.fixed_point import Unknowns, implicit, without_derivative
 from ..robot.cross_section import AnySection, where_present
 from .continuation import LoadPath
 from .settle import Settled, Setup, place, settle
-from .shooting import magnitude, moment_left_at_tip
+from .shooting import moment_left_at_tip
 
 
 class Balance(NamedTuple):
@@ -54,7 +54,6 @@ class System(eqx.Module):
     settled: Settled
     equations: Equations
     unknown: tuple[int, ...] = eqx.field(static=True)
-    whole: bool = eqx.field(default=False, static=True)  # whether the equations need wrap angle and position
 
     @property
     def root(self) -> Unknowns:
@@ -71,26 +70,28 @@ class System(eqx.Module):
         tension = self.base_tension.at[jnp.asarray(self.unknown)].set(tensions) if self.unknown else self.base_tension
         return place(self.setup, tension, self.settled._replace(load_path=path))
 
-    def __call__(self, values: Nodal | None, unknowns: Unknowns) -> tuple[Nodal | None, Unknowns]:
-        """Better values, and the residual."""
-        return self.improved(values, unknowns)[0]
+    def __call__(self, states: BodyStates | None, unknowns: Unknowns) -> tuple[BodyStates | None, Unknowns]:
+        """Better states, and the residual."""
+        return self.improved(states, unknowns)[0]
 
     def improved(
-        self, values: Nodal | None, unknowns: Unknowns
-    ) -> tuple[tuple[Nodal | None, Unknowns], tuple[Problem, Solution]]:
-        """Better values and the residual; and the problem and the solution from which they follow.
+        self, states: BodyStates | None, unknowns: Unknowns
+    ) -> tuple[tuple[BodyStates | None, Unknowns], tuple[Problem, Solution]]:
+        """Better states and the residual; and the problem and the solution from which they follow.
 
         The residual: the equations of the targets and the residual moment at the tip.
-        Without values the method solves the whole problem, with derivatives of its own.
+        Without states the method solves the whole problem, with derivatives of its own.
         """
         problem, setup = self.problem(unknowns), self.setup
-        if values is None:
+        if states is None:
             solution = setup.method(problem)
         else:
-            improve = setup.iteration.finish if self.whole else setup.iteration.improve
-            solution = improve(problem, values, self.settled.strain)
+            guess = nodal(problem, states.nodes)
+            solution = setup.iteration.improve(problem, guess, states.nodes.strain)
+        better = None if states is None else solution.states
+        solution = solution if states is None else finished(problem, solution)
         residual = jnp.concatenate([self.equations(problem, solution), missing_moment(problem, solution)])
-        return (None if values is None else nodal(problem, solution.nodes), residual), (problem, solution)
+        return (better, residual), (problem, solution)
 
 
 def missing_moment(problem: Problem, solution: Solution) -> Float[Array, " equations"]:
@@ -106,9 +107,8 @@ def balance(
     settled: Settled,
     unknown: tuple[int, ...] = (),
     equations: Equations = no_equations,
-    whole: bool = False,
 ) -> Balance:
-    """Solve once more with all values that were found, now with derivatives.
+    """What was found, now with derivatives.
 
     Args:
         setup: the manipulator and its loads.
@@ -116,25 +116,16 @@ def balance(
         settled: what was found for these tensions.
         unknown: the tendons whose tension was searched for.
         equations: the residuals of the targets that are zero at these tensions, one for each; a pytree, see `implicit`.
-        whole: whether the equations need frame and position.
     """
-    system = System(setup, base_tension, settled, equations, unknown, whole)
-    found, values = settled.load_path, system.settled.values
-    root = system.root
-    if values is not None or unknown:
-        values, root = implicit(system, values, root, ~found.converged)
+    system = System(setup, base_tension, settled, equations, unknown)
+    found, states, root = settled.load_path, settled.states, system.root
+    if states is not None or unknown:
+        states, root = implicit(system, states, root, ~found.converged)
     problem = system.problem(root)
-    if values is None:
+    if states is None:
         return _without_loads(problem, setup.method(problem), found)
-    solution = setup.iteration.finish(problem, values, system.settled.strain)
-    change = jnp.maximum(solution.residual, magnitude(moment_left_at_tip(problem, solution)))
-    solution = replace(
-        solution,
-        num_iterations=jnp.maximum(settled.num_iterations, solution.num_iterations),
-        residual=change,
-        converged=found.resolved & jnp.isfinite(change),
-        locked=settled.locked,
-    )
+    ended = settled.num_iterations, settled.change, found.resolved, settled.locked, settled.missed
+    solution = finished(problem, Solution(states, *ended))
     grown = jnp.where(found.converged, settled.error_amplification, 1.0)
     return Balance(problem, solution, found, settled.travel, grown)
 

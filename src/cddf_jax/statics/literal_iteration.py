@@ -15,6 +15,7 @@ from ..mechanics.friction import PerTendon, Pull
 from ..mechanics.geometry import axis_of
 from ..mechanics.march import FixedPoint
 from ..mechanics.problem import (
+    BodyStates,
     Problem,
     Solution,
     State,
@@ -72,15 +73,15 @@ def _as_solution(problem: Problem, answer: FixedPointResult) -> Solution:
         return State(pull, heading[at], moment, force, None, wrap[at], position[at])
 
     edges, nodes = states(0, jnp.zeros_like(position[0])), states(1, problem.outboard.nodes)
+    starts, ends = jax.tree.map(lambda x: x[:-1], edges), jax.tree.map(lambda x: x[1:], edges)
+    around = (state._replace(strain=strain) for state, strain in zip((starts, nodes, ends), strains, strict=True))
     return Solution(
-        starts=jax.tree.map(lambda x: x[:-1], edges)._replace(strain=strains[0]),
-        nodes=nodes._replace(strain=strains[1]),
-        ends=jax.tree.map(lambda x: x[1:], edges)._replace(strain=strains[2]),
+        BodyStates(*around),
         num_iterations=answer.num_iterations,
         residual=answer.change / cut.edges[-1],
         converged=answer.converged,
         locked=jnp.zeros_like(answer.converged),
-        missed=FixedPoint().finish(problem, nodal(problem, nodes), strains[1]).missed,
+        missed=FixedPoint().improve(problem, nodal(problem, nodes), strains[1]).missed,
     )
 
 

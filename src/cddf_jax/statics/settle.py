@@ -9,14 +9,13 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
 
 from ..mechanics.directions import find_directions, travel_under_tension
 from ..mechanics.friction import PerTendon
-from ..mechanics.march import FixedPoint
-from ..mechanics.problem import Method, Nodal, Number, Problem, lay_out, loaded_to, state_at_nodes, unbent, unstrained
+from ..mechanics.march import FixedPoint, unbent
+from ..mechanics.problem import BodyStates, Method, Number, Problem, lay_out, loaded_to, state_at_nodes
 from ..mechanics.tendon_displacement import tendon_displacement
-from ..numerics.arrays import zero_as
+from ..numerics.arrays import varying_as, zero_as
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from .continuation import LoadPath, follow_loads
@@ -54,8 +53,9 @@ class Settled(NamedTuple):
     direction: PerTendon
     load_path: LoadPath
     travel: PerTendon  # with which directions are compared, m
-    values: Nodal | None  # the unknowns at the nodes, where none was found those of `unbent`; None without loads
-    strain: Array | None  # the elastic strain there, approximately; None where it has a closed form
+    states: BodyStates | None  # along the body, those of `unbent` where none was found; None without loads
+    missed: Number  # as in a `Solution`
+    change: Number  # in the last iteration, relative
     num_iterations: Number
     locked: Flag
     error_amplification: Number  # the factor by which errors along the body grow
@@ -91,9 +91,9 @@ def unsettled(setup: Setup, base_tension: PerTendon) -> Settled:
     if setup.loads is None:
         return start
     zero = start.num_iterations
-    first = LoadedBody(setup.lay_out(base_tension), setup.iteration).first(zero)
-    path = start.load_path._replace(base_moment=first.values.moment, fraction=zero)
-    return start._replace(load_path=path, values=first.values.nodal, strain=first.strain)
+    problem = setup.lay_out(base_tension)
+    path = start.load_path._replace(base_moment=0.0 * problem.base_moment + zero, fraction=zero)
+    return start._replace(load_path=path, states=varying_as(unbent(problem), zero))
 
 
 def _nothing_to_find(setup: Setup, base_tension: PerTendon) -> Settled:
@@ -101,7 +101,7 @@ def _nothing_to_find(setup: Setup, base_tension: PerTendon) -> Settled:
     zero = zero_as(setup, base_tension)
     true = zero == 0
     path = LoadPath(zero, zero + 1.0, zero, converged=true, stable=true, resolved=true)
-    return Settled(setup.direction + zero, path, base_tension + zero, None, None, zero, ~true, zero + 1.0)
+    return Settled(setup.direction + zero, path, base_tension + zero, None, zero, zero, zero, ~true, zero + 1.0)
 
 
 def _loaded(setup: Setup, base_tension: PerTendon) -> Settled:
@@ -116,15 +116,13 @@ def _loaded(setup: Setup, base_tension: PerTendon) -> Settled:
         converged=path.converged & found.settled,
         resolved=path.resolved & (found.settled | ~path.converged),
     )
-    first = unbent(body.problem)  # for a lane of a batch that found none
-    unmoved = first, unstrained(setup.manipulator, True, first.ratio)
-    values, strain = jax.tree.map(partial(jnp.where, path.converged), (found.nodal, found.strain), unmoved)
     return Settled(
         direction=start.direction,
         load_path=path,
         travel=travel_under_tension(rough.problem, pull, rough.travel_rate(end, path.fraction)),
-        values=values,
-        strain=strain,
+        states=jax.tree.map(partial(jnp.where, path.converged), found.states, unbent(body.problem)),
+        missed=found.missed,
+        change=found.change,
         num_iterations=num_iterations,
         locked=end.locked | (found.lost & found.settled),
         error_amplification=rough.error_amplification(end),

@@ -14,8 +14,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..mechanics.friction import PerTendon
-from ..mechanics.march import FixedPoint
+from ..mechanics.march import FixedPoint, unbent
 from ..mechanics.problem import (
+    BodyStates,
     Moment,
     Nodal,
     Number,
@@ -24,8 +25,6 @@ from ..mechanics.problem import (
     loaded_to,
     nodal,
     state_at_nodes,
-    unbent,
-    unstrained,
 )
 from ..mechanics.tendon_displacement import tendon_displacement
 from ..numerics import tolerances as tol
@@ -78,7 +77,8 @@ class Polished(NamedTuple):
 
     moment: Moment  # M_ext(0) over its scale
     nodal: Nodal
-    strain: Array | None  # as in an `Iterate`
+    states: BodyStates  # of the last march
+    missed: Number  # as in a `Solution`
     settled: Flag
     lost: Flag
     change: Number
@@ -97,13 +97,13 @@ class LoadedBody(NamedTuple):
 
     def first(self, zero: Number) -> Iterate:
         """The body without friction and loads; `zero` varies over the same devices as all numbers."""
-        problem = self.problem
-        values = unbent(problem)
+        problem, nodes = self.problem, unbent(self.problem).nodes
+        values = nodal(problem, nodes)
         count = max(problem.base_moment.size, 1) + 1
         points = values.ratio.shape[0] * values.ratio.shape[1] + 1
         heading = jnp.zeros((points, *np.shape(problem.geometry.upright)))
         start = varying_as(Values(0.0 * problem.base_moment, values, heading.astype(zero.dtype)), zero)
-        strain = varying_as(unstrained(problem.manipulator, True, values.ratio), zero)
+        strain = varying_as(nodes.strain, zero)
         slopes = jax.tree.map(lambda x: jnp.zeros((count, *x.shape), x.dtype) + zero, start)
         none, true = zero > 0, zero == 0
         return Iterate(start, slopes, slopes.moment, strain, none, none, none, none, true, zero, zero)
@@ -189,11 +189,11 @@ class LoadedBody(NamedTuple):
 
         nodal_slopes = jax.tree.map(jax.vmap(onto), end.slopes.nodal)
         values, strain = jax.tree.map(onto, (end.values.nodal, end.strain))
-        zero = 0.0 * end.change
+        rest, zero = unbent(finer.problem), 0.0 * end.change
 
         def chord(last: Polished) -> tuple[Polished, Number]:
             here = finer.at(last.moment, fraction, 1.0 + zero)
-            solution = finer.method.improve(here, last.nodal, last.strain, last.change)
+            solution = finer.method.improve(here, last.nodal, last.states.nodes.strain, last.change)
             residual = moment_left_at_tip(here, solution)
             step, off = _newton_step(self.problem, last.moment, residual, end.slopes.heading, end.residual_slopes)
             better = nodal(here, solution.nodes)
@@ -201,10 +201,11 @@ class LoadedBody(NamedTuple):
             change = jnp.maximum(solution.residual, off)
             settled = solution.converged & (off * off <= _round_off(off) * jnp.maximum(last.change, off))
             settled, lost = decided(settled), decided(solution.locked | ~jnp.isfinite(change))
-            found = Polished(last.moment + step, moved, solution.nodes.strain, settled, lost, change)
+            found = Polished(last.moment + step, moved, solution.states, solution.missed, settled, lost, change)
             return found, jnp.where(settled | lost, zero, 1.0)
 
-        start = Polished(end.values.moment, values, strain, zero > 0, zero > 0, zero)
+        states = varying_as(rest._replace(nodes=rest.nodes._replace(strain=strain)), zero)
+        start = Polished(end.values.moment, values, states, zero, zero > 0, zero > 0, zero)
         found, _, count = picard(chord, start, 0.0, finer.method.max_iterations)
         return found, count
 

@@ -231,7 +231,7 @@ def _status(
 
 
 def _dense(problem: Problem, solution: Solution, solved: Bool[Array, ""]) -> Dense:
-    cut, states = problem.elements, (solution.starts, solution.nodes, solution.ends)
+    cut, states = problem.elements, solution.states
     tensions = problem.base_tension, problem.direction
     return Dense(problem.manipulator, *tensions, cut.edges, cut.order, *states, solved)
 

@@ -151,7 +151,7 @@ class CurvatureAt(eqx.Module):
 
     def reading(self, setup: Setup, problem: Problem, solution: Solution, tendon: int) -> Number:
         arc_length = jnp.asarray(self.arc_length, problem.elements.edges.dtype)
-        state = problem.elements.interpolate(solution.starts, solution.nodes, solution.ends, arc_length)
+        state = problem.elements.interpolate(*solution.states, arc_length)
         section = guarded_section(setup.manipulator, arc_length)
         strain = strain_of(section, problem.base_tension, state)
         return length_of((strain - section.rest)[1:3]) if isinstance(section, SpatialSection) else strain

@@ -50,7 +50,6 @@ class _Aim(NamedTuple):
     scale: Number  # of tensions, N
     least: Tensions
     most: Tensions
-    whole: bool  # whether the misses need wrap angle and position
     # which targets are displacements, whose tendons may become slack; None where targets do not belong to tendons
     pulled: Flags | None = None
     left: float = 0.0  # the least part of a tension that is left after one step
@@ -59,13 +58,13 @@ class _Aim(NamedTuple):
         """Solve for given tensions: the misses of the targets, and their slopes."""
         base_tension = self.given.at[jnp.asarray(self.unknown)].set(self.scale * tension)
         settled = settle(self.setup, base_tension)
-        system = System(self.setup, base_tension, settled, self.misses, self.unknown, self.whole)
-        (_, rows), push, there = jax.linearize(system.improved, settled.values, system.root, has_aux=True)
+        system = System(self.setup, base_tension, settled, self.misses, self.unknown)
+        (_, rows), push, there = jax.linearize(system.improved, settled.states, system.root, has_aux=True)
         moments = 0 if self.setup.loads is None else geometry_of(self.setup.manipulator).no_moment.size
         residual = rows[: rows.size - moments]
-        jacobian = _at_constant_moment(slopes_by_unknowns(push, settled.values, system.root)[1].T, moments)
+        jacobian = _at_constant_moment(slopes_by_unknowns(push, settled.states, system.root)[1].T, moments)
         # one more march of a body that has settled may change more than the tolerance
-        fine = there[1].converged if settled.values is None else settled.load_path.converged
+        fine = there[1].converged if settled.states is None else settled.load_path.converged
         fine = fine & jnp.all(inside_of_bend(*there) < 1.0)
         cost = jnp.sum(residual**2)
         fine = fine & jnp.isfinite(cost + jnp.sum(jacobian))
@@ -112,7 +111,7 @@ def reach(setup: Setup, given: PerTendon, targets: Targets) -> tuple[Balance, Fo
     equations = Partial(_equations, setup, wanted, aim.scale, best.tension, reached & determined & ~slack)
     tension = given.at[jnp.asarray(aim.unknown)].set(aim.scale * best.tension)
     found = Found(miss, reached, jnp.any(slack), determined)
-    return balance(setup, tension, best.settled, aim.unknown, equations, aim.whole), found
+    return balance(setup, tension, best.settled, aim.unknown, equations), found
 
 
 def _is_reached(aim: _Aim, best: _TensionTrial, slack: Flags) -> tuple[Bool[Array, ""], Bool[Array, ""]]:
@@ -135,7 +134,6 @@ def _aim_at(setup: Setup, given: PerTendon, wanted: "Wanted") -> _Aim:
         scale,
         least=least,
         most=jnp.full_like(least, tol.FARTHEST),
-        whole=frames and any(isinstance(target, TipAngle) for target in kinds),
         pulled=jnp.asarray([isinstance(target, Displacement) for target in kinds]),
         left=tol.LEAST_LEFT if frames and any(isinstance(target, TipAngle | CurvatureAt) for target in kinds) else 0.0,
     )
@@ -288,7 +286,6 @@ def _reach_place(setup: Setup, given: PerTendon, target: TipPosition) -> tuple[B
         Partial(frozen.misses, frozen_setup),
         scale,
         *frozen.limits(scale, given),
-        whole=True,
     )
     best = _least_total(aim, frozen)
     jacobian = jnp.where(jnp.isfinite(best.jacobian), best.jacobian, 0.0)
@@ -297,7 +294,7 @@ def _reach_place(setup: Setup, given: PerTendon, target: TipPosition) -> tuple[B
     follow = jnp.where(found.reached, jnp.linalg.pinv(jacobian * inside, rtol=_same_effect(scale)), 0.0)
     moves = jnp.eye(given.size, dtype=given.dtype) - follow @ jacobian
     equations = Partial(_place_equations, setup, target, scale, best.tension, follow, moves)
-    return balance(setup, scale * best.tension, best.settled, aim.unknown, equations, whole=True), found
+    return balance(setup, scale * best.tension, best.settled, aim.unknown, equations), found
 
 
 def _found_near_place(
