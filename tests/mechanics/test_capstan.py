@@ -130,6 +130,25 @@ def test_refusals_do_not_depend_on_being_traced(body, message):
             tension(body, 75.0, 0.14)
 
 
+def test_wrap_angle_also_without_friction():
+    """Of a cylinder theta = log(1 + mu x) / mu with x = T d L / (E J): x - mu x^2 / 2 + mu^2 x^3 / 3 for a small mu."""
+    cylinder = paper_body("exact", outer_radius=(0.016, 0.016))
+    x = 75.0 * 0.010 * 0.140 / (1.4e6 * np.pi / 4 * (0.016**4 - 0.007**4))
+
+    def wrap(mu):
+        body = eqx.tree_at(lambda body: body.friction_coefficient, cylinder, mu)
+        return cddf.solve(body, 75.0, throw=False).wrap_angle[0, -1]
+
+    mu = np.array([0.0, 1e-9, 1e-5, 0.42])
+    slope = x / (0.42 * (1 + 0.42 * x)) - np.log1p(0.42 * x) / 0.42**2
+    slopes = np.append(-(x**2) / 2 + 2 * mu[:3] * x**3 / 3 - 3 * mu[:3] ** 2 * x**4 / 4, slope)
+    found, there = jax.vmap(jax.value_and_grad(wrap))(mu)
+    np.testing.assert_allclose(found[0], x, rtol=1e-13)
+    np.testing.assert_allclose(found[1:], np.log1p(mu[1:] * x) / mu[1:], rtol=1e-12)
+    np.testing.assert_allclose(there, slopes, rtol=1e-11)
+    np.testing.assert_allclose(jax.jvp(wrap, (0.0,), (1.0,))[1], slopes[0], rtol=1e-11)
+
+
 # --- the pulley, eq. (5): a weight raised over a fixed pulley ------------------------------------
 
 

@@ -5,7 +5,7 @@
 The loss by turning at the rate psi' (rad/m) is proportional to the tension: the derivative of Liu et al. (2020),
 eq. (8). The drag (N/m) does not depend on the tension. The solver integrates r and c, which stay regular where T is
 zero. By variation of constants, T = (T_base - c) / r with r' = direction mu |psi'| r and c' = direction drag r. All
-functions here state the same law and must be changed together; `tests/mechanics/test_friction.py` compares them.
+functions here state the same law and must be changed together.
 """
 
 import math

@@ -74,8 +74,8 @@ def march(problem: Problem, guess: Nodal, strain: Array | None = None) -> Along:
 
     def element(arriving: State, part: Part) -> tuple[State, Along]:
         start = _across_joint(problem, arriving, part)
-        nodes, end, *others = _along_element(problem, start, part)
-        return end, (start, nodes, end, *others)
+        nodes, end, elastic, missed = _along_element(problem, start, part)
+        return end, (start, nodes, end, elastic, missed)
 
     return jax.lax.scan(element, _at_base(problem), parts)[1]
 
@@ -123,7 +123,9 @@ def _along_element(problem: Problem, start: State, part: Part) -> tuple[State, S
     return nodes, end, jax.vmap(problem.geometry.elastic)(part.section, tensions.at_nodes(strains)), missed
 
 
-def _beyond(problem: Problem, start: State, growth: Array, spent: Array | None, heading: Array, moment: Array) -> State:
+def _beyond(
+    problem: Problem, start: State, growth: Array, spent: Array | None, heading: Array | None, moment: Array | None
+) -> State:
     """The state where the integral of theta' r has grown since the start of the element."""
     ratio = start.ratio + problem.direction * problem.manipulator.tendon_friction * growth
     return State(Pull(ratio, spent), heading, moment, None, None, growth=start.growth + growth)
@@ -287,8 +289,8 @@ class FixedPoint(eqx.Module):
             strain: the elastic strain there, that of the iteration before.
             before: the relative change in that iteration, 0 if there was none. It shows how fast they converge.
         """
-        *found, elastic, missed = march(problem, guess, strain)
-        states = _solved(problem, *found, elastic)
+        starts, nodes, ends, elastic, missed = march(problem, guess, strain)
+        states = _solved(problem, starts, nodes, ends, elastic)
         better, guess = without_derivative((nodal(problem, states.nodes), guess))  # their change needs no derivative
         change = relative_size(minus(better, guess), better)
         positive = decided(jnp.all(states.ends.ratio > 0) & jnp.all(better.ratio > 0))

@@ -54,7 +54,7 @@ class Settled(NamedTuple):
     load_path: LoadPath
     travel: PerTendon  # with which directions are compared, m
     states: BodyStates | None  # along the body, those of `unbent` where none was found; None without loads
-    missed: Number  # as in a `Solution`
+    missed: Number | float  # as in a `Solution`
     change: Number  # in the last iteration, relative
     num_iterations: Number
     locked: Flag

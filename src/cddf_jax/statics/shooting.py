@@ -78,7 +78,7 @@ class Polished(NamedTuple):
     moment: Moment  # M_ext(0) over its scale
     nodal: Nodal
     states: BodyStates  # of the last march
-    missed: Number  # as in a `Solution`
+    missed: Number | float  # as in a `Solution`
     settled: Flag
     lost: Flag
     change: Number
