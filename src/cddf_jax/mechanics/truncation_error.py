@@ -1,8 +1,8 @@
 """How far the answer of a solve may be off: what the Gauss nodes of the elements miss.
 
-A rate that the nodes of an element resolve has Legendre coefficients that fall off. An integral by Gauss nodes misses
-the last ones times those that follow: what the polynomial leaves out of the rate, times what it leaves out of the
-weight of the rate in the answer. Where a tendon turns over or becomes slack, that weight has a kink.
+A rate that the nodes of an element resolve has Legendre coefficients that fall off. An integral by p Gauss nodes misses
+those from degree 2 p on. Where a tendon turns over or becomes slack, the rates have a kink, and a part of the last
+coefficients is missed.
 """
 
 import jax
@@ -18,14 +18,13 @@ from .problem import Number, Problem, Solution
 def truncation_error(problem: Problem, solution: Solution) -> Number:
     """Estimated error of tip tension (relative), tip position (per length) and tip angle (rad), the largest."""
     least = jnp.clip(jnp.min(solution.tip.ratio), 1e-3, 1.0)  # r of a tendon that slides out falls, its errors do not
-    return jnp.maximum(tol.SAFETY * solution.missed / least, _unseen_turning(problem))
+    return tol.SAFETY * (solution.missed / least + _unseen_turning(problem))
 
 
 def missed_in_turning(problem: Problem, width: Number, rates: Float[Array, "branches p ..."]) -> Number:
     """What the nodes of an element miss of r and of the turning of the tendons, from their rates on each branch."""
     rates = rates if problem.has_kinks else problem.geometry.size(rates)
-    last, following = last_coefficients(width * jnp.moveaxis(jax.lax.stop_gradient(rates), 1, 0))
-    return largest(last * following)
+    return largest(last_coefficients(width * jnp.moveaxis(jax.lax.stop_gradient(rates), 1, 0))[1])
 
 
 def missed_in_place(
@@ -39,11 +38,11 @@ def missed_in_place(
         axis: at its nodes.
         places: of kinks, in [0, 1]; 1 where there is none. None where they are not known.
     """
-    last, following = last_coefficients(width / problem.elements.edges[-1] * jax.lax.stop_gradient(axis))
+    last, beyond = last_coefficients(width / problem.elements.edges[-1] * jax.lax.stop_gradient(axis))
     kink = 0.0 if not problem.has_kinks else tol.AT_KINKS
     if places is not None:
         kink = jnp.where(jnp.min(places) < 1, tol.AT_KINK if len(places) == 1 else tol.AT_KINKS, 0.0)
-    return largest(last * (following + kink))
+    return largest(beyond + kink * last)
 
 
 def _unseen_turning(problem: Problem) -> Number:

@@ -14,9 +14,9 @@ MOST_LISTED = 64  # of all choices: ten tendons do not take a thousand solves
 
 # error estimate
 ACCURACY = 1e-5  # a solve with a larger truncation error is not called successful
-SAFETY = 5.0  # factor on what the nodes miss, so that the estimate is not below the error
-AT_KINK = 0.02  # what a kink adds to it, over the last coefficients of the axis
-AT_KINKS = 0.25  # likewise where there may be several in one element
+SAFETY = 3.0  # factor on what the nodes miss, so that the estimate is not below the error
+AT_KINK = 0.03  # what a kink adds to it, over the last coefficients of the axis
+AT_KINKS = 0.4  # likewise where there may be several in one element
 
 # continuation in the loads
 LARGEST_TURN = 1.0  # rad, of a cross-section in one step: a longer one may leave the path
