@@ -115,6 +115,30 @@ def test_an_undeclared_roughness_is_detected(profile):
         cddf.solve(body_with(profile), 40.0)
 
 
+def test_the_estimate_tells_small_kinks_and_steps_that_are_not_declared():
+    """Of the outer radius; against the same radius with a declared break, under no load."""
+    at = np.repeat([0.021, 0.05, 0.0618, 0.1333], 4)
+    slope, step = np.tile([[0.02, 0.001, 0.0, 0.0], [0.0, 0.0, 1e-3, 1e-5]], 4)  # -, m
+
+    def solved(profile):
+        return jax.jit(jax.vmap(lambda *given: cddf.solve(body_with(profile(*given)), 60.0, throw=False)))(
+            at, slope, step
+        )
+
+    def undeclared(at, slope, step):
+        return lambda s: 0.016 - slope * jnp.abs(s - at) + step * (s > at)
+
+    def declared(at, slope, step):
+        inner = cddf.Linear(0.016 - slope * at, 0.016 + slope * (0.14 - at), 0.14)
+        outer = cddf.Linear(0.016 + slope * at + step, 0.016 - slope * (0.14 - at) + step, 0.14)
+        return cddf.Piecewise(at[None], [inner, outer])
+
+    found, exact = solved(undeclared), solved(declared)
+    apart = np.abs(found.tip_tension[:, 0] / exact.tip_tension[:, 0] - 1), np.abs(found.tip_angle - exact.tip_angle)
+    assert np.all(np.maximum(*apart) <= found.error_estimate)
+    assert np.all(found.error_estimate <= 1e3 * np.maximum(*apart))
+
+
 def test_declared_breaks_restore_the_accuracy():
     heights = np.array(kinked(np.array([0.0, KINK, 0.14])))
     declared = cddf.Piecewise.linear([0.0, KINK, 0.14], heights)
