@@ -2,7 +2,7 @@
 
 A rate that the nodes of an element resolve has Legendre coefficients that fall off. An integral by p Gauss nodes misses
 those from degree 2 p on. Where a tendon turns over or becomes slack, the rates have a kink, and a part of the last
-coefficients is missed.
+coefficients is missed. In space the turning may have a sharp minimum instead, and a part of the next ones is missed.
 """
 
 import jax
@@ -24,7 +24,9 @@ def truncation_error(problem: Problem, solution: Solution) -> Number:
 def missed_in_turning(problem: Problem, width: Number, rates: Float[Array, "branches p ..."]) -> Number:
     """What the nodes of an element miss of r and of the turning of the tendons, from their rates on each branch."""
     rates = rates if problem.has_kinks else problem.geometry.size(rates)
-    return largest(last_coefficients(width * jnp.moveaxis(jax.lax.stop_gradient(rates), 1, 0))[1])
+    last, falls = last_coefficients(width * jnp.moveaxis(jax.lax.stop_gradient(rates), 1, 0))
+    sharp = problem.has_kinks and problem.geometry.has_frames
+    return largest(tol.AT_MINIMUM * last * falls if sharp else last * falls ** (rates.shape[1] // 2))
 
 
 def missed_in_place(
@@ -36,13 +38,14 @@ def missed_in_place(
         problem: the body.
         width: of the element, m.
         axis: at its nodes.
-        places: of kinks, in [0, 1]; 1 where there is none. None where they are not known.
+        places: of kinks, in [0, 1]; 1 where there is none. None where there are none.
     """
-    last, beyond = last_coefficients(width / problem.elements.edges[-1] * jax.lax.stop_gradient(axis))
-    kink = 0.0 if not problem.has_kinks else tol.AT_KINKS
-    if places is not None:
-        kink = jnp.where(jnp.min(places) < 1, tol.AT_KINK if len(places) == 1 else tol.AT_KINKS, 0.0)
-    return largest(beyond + kink * last)
+    last, falls = last_coefficients(width / problem.elements.edges[-1] * jax.lax.stop_gradient(axis))
+    missed = last * falls ** (len(axis) // 2)
+    if places is None:
+        return largest(missed)
+    kink = tol.AT_KINK if len(places) == 1 else tol.AT_KINKS
+    return largest(missed + jnp.where(jnp.min(places) < 1, kink, 0.0) * last)
 
 
 def _unseen_turning(problem: Problem) -> Number:

@@ -96,14 +96,10 @@ def times(matrix: np.ndarray, values: Float[Array, "p *k"]) -> Float[Array, "...
 
 
 def last_coefficients(values: Float[Array, "p *k"]) -> tuple[Float[Array, "*k"], Float[Array, "*k"]]:
-    """The larger of the last two Legendre coefficients of functions, and how large that of degree 2 p may be.
-
-    The Gauss rule integrates all smaller degrees exactly. The coefficients go on falling as from those two before.
-    """
-    order = values.shape[0]
-    found = jnp.abs(times(gauss_rule(order).series[-4:], values))
+    """The larger of the last two Legendre coefficients of functions, and the part of the two before that it is."""
+    found = jnp.abs(times(gauss_rule(values.shape[0]).series[-4:], values))
     last, before = jnp.maximum(found[-1], found[-2]), jnp.max(found[:-2], axis=0, initial=0.0)
-    return last, last * jnp.minimum(1.0, last / jnp.maximum(before, jnp.finfo(last.dtype).tiny)) ** (order // 2)
+    return last, jnp.minimum(1.0, last / jnp.maximum(before, jnp.finfo(last.dtype).tiny))
 
 
 # --- one element --------------------------------------------------------------------------------
