@@ -275,11 +275,7 @@ class FixedPoint(eqx.Module):
         return Solution(found.states, count, change, good, locked, found.missed)
 
     def improve(
-        self,
-        problem: Problem,
-        guess: Nodal,
-        strain: Array | None = None,
-        before: Number | float = 0.0,
+        self, problem: Problem, guess: Nodal, strain: Array | None = None, before: Number | float = 0.0
     ) -> Solution:
         """One iteration from a guess; `converged` if its result is the solution.
 
@@ -296,8 +292,7 @@ class FixedPoint(eqx.Module):
         positive = decided(jnp.all(states.ends.ratio > 0) & jnp.all(better.ratio > 0))
         # the iteration converges by the factor change / before, so the next change would be this one times that factor
         least = self._tolerance(problem)
-        still = (change * change <= least * jnp.maximum(before, change)) & (change <= tol.LAST_GAIN * least)
-        still = decided(still)
+        still = decided((change * change <= least * jnp.maximum(before, change)) & (change <= tol.LAST_GAIN * least))
         # from a poor guess r may pass below zero and come back
         ended = jnp.ones_like(change), change, still & positive, still & ~positive
         return Solution(states, *ended, 0.0 if missed is None else jnp.sum(missed))

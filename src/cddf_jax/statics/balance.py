@@ -84,12 +84,10 @@ class System(eqx.Module):
         """
         problem, setup = self.problem(unknowns), self.setup
         if states is None:
-            solution = setup.method(problem)
+            better, solution = None, setup.method(problem)
         else:
-            guess = nodal(problem, states.nodes)
-            solution = setup.iteration.improve(problem, guess, states.nodes.strain)
-        better = None if states is None else solution.states
-        solution = solution if states is None else finished(problem, solution)
+            found = setup.iteration.improve(problem, nodal(problem, states.nodes), states.nodes.strain)
+            better, solution = found.states, finished(problem, found)
         residual = jnp.concatenate([self.equations(problem, solution), missing_moment(problem, solution)])
         return (better, residual), (problem, solution)
 
