@@ -214,7 +214,7 @@ def test_tip_stiffness_is_the_inverse_of_the_compliance_across_the_tip():
 
     The compliance is the difference quotient of SciPy's deflections, of fourth order: 1e-9, noise 1e-12 m / (C h).
     """
-    found = cddf.solve(paper_body("published"), cddf.TipStiffness(350.0), nodes=8)
+    found = cddf.solve(paper_body("published"), cddf.TipStiffness(350.0), nodes=12)
     plain = paper_plain("published")
     across = np.array([-np.sin(found.tip_angle), np.cos(found.tip_angle)])
 

@@ -1,8 +1,9 @@
 """How far the answer of a solve may be off: what the Gauss nodes of the elements miss.
 
 A rate that the nodes of an element resolve has Legendre coefficients that fall off. An integral by p Gauss nodes misses
-those from degree 2 p on. Where a tendon turns over or becomes slack, the rates have a kink, and a part of the last
-coefficients is missed. In space the turning may have a sharp minimum instead, and a part of the next ones is missed.
+those from degree 2 p on, and the product of what the polynomial leaves out of the rate and out of its weight in the
+answer. Where a tendon turns over or becomes slack, the rates have a kink, and a part of the last coefficients is
+missed. In space the turning may have a sharp minimum instead, and a part of the next ones is missed.
 """
 
 import jax
@@ -24,9 +25,10 @@ def truncation_error(problem: Problem, solution: Solution) -> Number:
 def missed_in_turning(problem: Problem, width: Number, rates: Float[Array, "branches p ..."]) -> Number:
     """What the nodes of an element miss of r and of the turning of the tendons, from their rates on each branch."""
     rates = rates if problem.has_kinks else problem.geometry.size(rates)
-    last, falls = last_coefficients(width * jnp.moveaxis(jax.lax.stop_gradient(rates), 1, 0))
     sharp = problem.has_kinks and problem.geometry.has_frames
-    return largest(tol.AT_MINIMUM * last * falls if sharp else last * falls ** (rates.shape[1] // 2))
+    rates = jnp.moveaxis(rates, 1, 0)
+    _, following, beyond = _coefficients(width * (rates if sharp else rates[..., None]))
+    return largest(tol.AT_MINIMUM * following if sharp else beyond)
 
 
 def missed_in_place(
@@ -40,12 +42,24 @@ def missed_in_place(
         axis: at its nodes.
         places: of kinks, in [0, 1]; 1 where there is none. None where there are none.
     """
-    last, falls = last_coefficients(width / problem.elements.edges[-1] * jax.lax.stop_gradient(axis))
-    missed = last * falls ** (len(axis) // 2)
+    last, _, beyond = _coefficients(width / problem.elements.edges[-1] * axis)
     if places is None:
-        return largest(missed)
+        return largest(beyond)
     kink = tol.AT_KINK if len(places) == 1 else tol.AT_KINKS
-    return largest(missed + jnp.where(jnp.min(places) < 1, kink, 0.0) * last)
+    kink = kink * min(1.0, (len(axis) / 8) ** 6)  # with fewer nodes most of the last coefficients is smooth
+    return largest(beyond + jnp.where(jnp.min(places) < 1, kink, 0.0) * last)
+
+
+def _coefficients(vectors: Float[Array, "p ..."]) -> tuple[Array, Array, Array]:
+    """The last Legendre coefficients of vectors, the next ones, and what the Gauss rule misses, if they fall on so.
+
+    It misses the coefficient of degree 2 p, and products of coefficients. With fewer than 16 nodes that is too much, by
+    the factor that was measured with `benchmarks/error_estimate.py`.
+    """
+    p = len(vectors)
+    last, falls = last_coefficients(jax.lax.stop_gradient(vectors))
+    missed = last * falls * jnp.maximum(last, falls ** (p // 2))
+    return last, last * falls, missed * min(1.0, (p / 16) ** 2)
 
 
 def _unseen_turning(problem: Problem) -> Number:

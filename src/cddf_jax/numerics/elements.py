@@ -95,9 +95,9 @@ def times(matrix: np.ndarray, values: Float[Array, "p *k"]) -> Float[Array, "...
     return jnp.moveaxis(jnp.moveaxis(values, 0, -1) @ flat, -1, 0).reshape(*matrix.shape[:-1], *values.shape[1:])
 
 
-def last_coefficients(values: Float[Array, "p *k"]) -> tuple[Float[Array, "*k"], Float[Array, "*k"]]:
-    """The larger of the last two Legendre coefficients of functions, and the part of the two before that it is."""
-    found = jnp.abs(times(gauss_rule(values.shape[0]).series[-4:], values))
+def last_coefficients(vectors: Float[Array, "p *k n"]) -> tuple[Float[Array, "*k"], Float[Array, "*k"]]:
+    """The larger of the last two Legendre coefficients of vectors, and the part of the two before that it is."""
+    found = length_of(times(gauss_rule(vectors.shape[0]).series[-4:], vectors))
     last, before = jnp.maximum(found[-1], found[-2]), jnp.max(found[:-2], axis=0, initial=0.0)
     return last, jnp.minimum(1.0, last / jnp.maximum(before, jnp.finfo(last.dtype).tiny))
 
