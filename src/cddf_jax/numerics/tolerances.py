@@ -17,7 +17,7 @@ ACCURACY = 1e-5  # a solve with a larger truncation error is not called successf
 SAFETY = 2.0  # factor on what the nodes miss, so that the estimate is not below the error
 AT_KINK = 0.045  # what a kink adds to it, over the last coefficients of the axis
 AT_KINKS = 0.6  # likewise where there may be several in one element
-AT_MINIMUM = 0.2  # of the next coefficients of the turning: what a sharp minimum in space adds
+AT_MINIMUM = 0.17  # of the next coefficients of the turning: what a sharp minimum in space adds
 
 # continuation in the loads
 LARGEST_TURN = 1.0  # rad, of a cross-section in one step: a longer one may leave the path
