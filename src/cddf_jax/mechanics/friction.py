@@ -3,9 +3,9 @@
     T' = -direction (mu |psi'| T + drag)      N/m
 
 The loss by turning at the rate psi' (rad/m) is proportional to the tension: the derivative of Liu et al. (2020),
-eq. (8). The drag (N/m) does not depend on the tension. The solver integrates r and c, which stay regular where T is
-zero. By variation of constants, T = (T_base - c) / r with r' = direction mu |psi'| r and c' = direction drag r. All
-functions here state the same law and must be changed together.
+eq. (8); theta' = |psi'|. The drag (N/m) does not depend on the tension. The solver integrates r and c, which stay
+regular where T is zero. By variation of constants, T = (T_base - c) / r with r' = direction mu theta' r and
+c' = direction drag r. All functions here state the same law and must be changed together.
 """
 
 import math
@@ -15,6 +15,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..numerics import tolerances as tol
 from ..robot.cross_section import AnySection
 
 PerTendon = Float[Array, "... tendons"]  # at one point or several
@@ -61,7 +62,7 @@ def wrap_of(loss: PerTendon, growth: PerTendon) -> PerTendon:
         loss: direction mu.
         growth: the integral of theta' r, so that r = 1 + loss growth.
     """
-    grown = jnp.maximum(loss * growth, -1.0 + 1e-6)  # -1 where a tendon that slides out locks
+    grown = jnp.maximum(loss * growth, tol.NOT_LOCKED - 1.0)
     return growth * _near_zero(lambda x: jnp.log1p(x) / x, [(-1.0) ** k / (k + 1) for k in range(7)], grown)
 
 
@@ -73,7 +74,7 @@ def growth_beyond(direction: PerTendon, section: AnySection, turn: PerTendon, ra
 
 def _near_zero(function: Callable[[Array], Array], series: list[float], x: Array) -> Array:
     """A function of x, near 0 by the coefficients of its series."""
-    small = jnp.abs(x) < 1e-3
+    small = jnp.abs(x) < tol.SERIES
     return jnp.where(small, jnp.polyval(jnp.asarray(series[::-1], x.dtype), x), function(jnp.where(small, 1.0, x)))
 
 

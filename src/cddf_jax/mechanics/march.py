@@ -126,7 +126,7 @@ def _along_element(problem: Problem, start: State, part: Part) -> tuple[State, S
 def _beyond(
     problem: Problem, start: State, growth: Array, spent: Array | None, heading: Array | None, moment: Array | None
 ) -> State:
-    """The state where the integral of theta' r has grown since the start of the element."""
+    """The state at the nodes or the end of an element, from the growth of the integral of theta' r since its start."""
     ratio = start.ratio + problem.direction * problem.manipulator.tendon_friction * growth
     return State(Pull(ratio, spent), heading, moment, None, None, growth=start.growth + growth)
 

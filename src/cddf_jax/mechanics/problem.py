@@ -120,7 +120,7 @@ class State(NamedTuple):
     strain: Float[Array, "*points_and_strains"] | None  # the elastic strain, see `starts_of_newton`
     wrap_angle: Any = None  # theta, rad, (*points, tendons); None before all is `finished`
     position: Any = None  # u, m, (*points, components); likewise
-    growth: Any = None  # the integral of theta' r, by which r grows over direction mu; during the march only
+    growth: Any = None  # the integral of theta' r, by which r grows over direction mu; None after all is `finished`
 
     @property
     def ratio(self) -> Float[Array, "*points tendons"]:
@@ -144,7 +144,7 @@ class Solution(eqx.Module):
     residual: Number  # of the method itself, relative: the last change of the fixed point
     converged: Bool[Array, ""]
     locked: Bool[Array, ""]  # the tension of a tendon sliding out grows without bound
-    missed: Number | float = 0.0  # by the nodes of all elements, see `missed_in_element`; 0 before the last iteration
+    missed: Number | float = 0.0  # by the nodes of all elements, see `truncation_error`; 0 for a rough problem
 
     @property
     def nodes(self) -> State:
@@ -339,14 +339,6 @@ def strain_of(section: AnySection, base_tension: PerTendon, state: State) -> Arr
     """The curvature kappa, 1/m, at one cross-section; of a body in space its strain, (strains,)."""
     tension = tension_of(section, base_tension, state.pull)
     return geometry_at(section).strain(section, tension, state.heading, state.moment, state.force, state.strain)
-
-
-def spent_scale(problem: Problem, tip: Pull) -> PerTendon | None:
-    """The scale of c, N: base tension plus c at the tip, or 1 where both are zero; None without drag."""
-    if tip.spent is None:
-        return None
-    scale = problem.base_tension + jnp.abs(tip.spent)
-    return jnp.where(scale > 0, scale, 1.0)
 
 
 def ones_at_base(problem: Problem) -> PerTendon:

@@ -17,8 +17,11 @@ from .problem import Number, Problem, Solution
 
 
 def truncation_error(problem: Problem, solution: Solution) -> Number:
-    """Estimated error of tip tension (relative), tip position (per length) and tip angle (rad), the largest."""
-    least = jnp.clip(jnp.min(solution.tip.ratio), 1e-3, 1.0)  # r of a tendon that slides out falls, its errors do not
+    """Estimated error of tip tension (relative), tip position (per length) and tip angle (rad), the largest.
+
+    With drag, errors of the tip tension are relative to the tip tension without drag.
+    """
+    least = jnp.clip(jnp.min(solution.tip.ratio), tol.LEAST_RATIO, 1.0)
     return tol.SAFETY * (solution.missed / least + _unseen_turning(problem))
 
 
@@ -46,15 +49,15 @@ def missed_in_place(
     if places is None:
         return largest(beyond)
     kink = tol.AT_KINK if len(places) == 1 else tol.AT_KINKS
-    kink = kink * min(1.0, (len(axis) / 8) ** 6)  # with fewer nodes most of the last coefficients is smooth
+    kink = kink * min(1.0, (len(axis) / 8) ** 6)  # with fewer nodes the smooth part has most of the last coefficients
     return largest(beyond + jnp.where(jnp.min(places) < 1, kink, 0.0) * last)
 
 
 def _coefficients(vectors: Float[Array, "p ..."]) -> tuple[Array, Array, Array]:
     """The last Legendre coefficients of vectors, the next ones, and what the Gauss rule misses, if they fall on so.
 
-    It misses the coefficient of degree 2 p, and products of coefficients. With fewer than 16 nodes that is too much, by
-    the factor that was measured with `benchmarks/error_estimate.py`.
+    It misses the coefficient of degree 2 p, and products of coefficients. With fewer than 16 nodes that is too much;
+    the factor was measured with `benchmarks/error_estimate.py`.
     """
     p = len(vectors)
     last, falls = last_coefficients(jax.lax.stop_gradient(vectors))

@@ -12,11 +12,16 @@ LEAST_TRAVEL = 1e-6  # of the length: rounding errors of a travel contradict no 
 NUM_FLIPS = 3  # choices that reverse the contradicted directions; after them all choices are tried in turn
 MOST_LISTED = 64  # of all choices: ten tendons do not take a thousand solves
 
+# wrap angle
+SERIES = 1e-3  # of log(r): below it a series, as a quotient would be 0 / 0 without friction
+NOT_LOCKED = 1e-6  # least r, so that the logarithm is finite where a tendon locks
+
 # error estimate
 ACCURACY = 1e-5  # a solve with a larger truncation error is not called successful
 SAFETY = 2.0  # factor on what the nodes miss, so that the estimate is not below the error
 AT_KINK = 0.045  # what a kink adds to it, over the last coefficients of the axis
 AT_KINKS = 0.6  # likewise where there may be several in one element
+LEAST_RATIO = 1e-3  # of r at the tip: errors of a tendon that slides out count 1 / r times, but this much at most
 AT_MINIMUM = 0.17  # of the next coefficients of the turning: what a sharp minimum in space adds
 
 # continuation in the loads
