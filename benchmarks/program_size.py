@@ -10,6 +10,7 @@ module with every call expanded, so that moving code into functions is no gain. 
 import time
 from collections import Counter
 from collections.abc import Callable
+from operator import attrgetter
 
 import jax
 import jax.numpy as jnp
@@ -74,7 +75,7 @@ def traced(path: Callable, *outputs: str) -> Callable:
 
     def program(body, number):
         history = cddf.trace(body, path(number * jnp.array([1.0, 0.5, 0.8, 1.0])), throw=False)
-        return [getattr(history, name) for name in outputs]
+        return [attrgetter(name)(history) for name in outputs]
 
     return program
 
@@ -123,7 +124,7 @@ PROGRAMS = {
     "a trace": (traced(lambda path: path, *OF_TRACES), 1),
     "a trace of displacements": (traced(lambda path: cddf.Displacement(1e-4 * path), *OF_TRACES), 1),
     "a trace of two tendons": (traced(lambda path: jnp.stack([path, 0.3 * path], axis=1), *OF_TRACES), 2),
-    "the work of a trace": (traced(lambda path: path, "work"), 1),
+    "the work of a trace": (traced(lambda path: path, "energies.work"), 1),
 }
 
 
