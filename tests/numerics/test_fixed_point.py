@@ -13,20 +13,17 @@ from cddf_jax.numerics.rotations import solve_three
 A = np.array([0.5, 2.0, 7.0])
 
 
-def gap(a, b, values, x):
-    """x^2 = a / b, as an equation, and y = sqrt(x + y), as a fixed point."""
-    return jnp.sqrt(x[0] + values), b * x * x - a
-
-
-def both(a):
-    """X = sqrt(a / 2) and y = (1 + sqrt(1 + 4 x)) / 2, which `implicit` is given without derivatives."""
-    x = jnp.sqrt(a / 2.0)
-    return implicit(Partial(gap, a, 2.0), (1 + jnp.sqrt(1 + 4 * x)) / 2, x[None])
+def chord(a, slope, both):
+    """A Newton step for 2 x^2 = a with a constant slope, and a Picard iteration for y = sqrt(x + y)."""
+    x, y = both
+    return x - (2.0 * x * x - a) / slope, jnp.sqrt(x + y)
 
 
 def root_and_values(a):
-    values, (x,) = both(a)
-    return jnp.stack([x, values])
+    """X = sqrt(a / 2) and y = (1 + sqrt(1 + 4 x)) / 2, which `implicit` is given without derivatives."""
+    x = jnp.sqrt(a / 2.0)
+    inexact = jax.lax.stop_gradient(4.4 * x)  # a tenth too large
+    return jnp.stack(implicit(Partial(chord, a, inexact), (x, (1 + jnp.sqrt(1 + 4 * x)) / 2)))
 
 
 def grow(a, y):
@@ -67,10 +64,7 @@ def test_derivatives_are_those_of_the_closed_form(function, value, slope, bend):
 
 
 def test_what_does_not_move_has_no_slope():
-    """Two unknowns, of which one follows a and one does not: x = (a, 3), and as a fixed point y = (a, 3) as well."""
-
-    def apart(a, values, unknowns):
-        return values, jnp.stack([unknowns[0] - a, unknowns[1] - 3.0])
+    """Two values, of which one follows a and one does not: (a, 3)."""
 
     def halfway(a, values):
         return {"moved": (values["moved"] + a) / 2, "still": (values["still"] + 3.0) / 2}
@@ -79,40 +73,19 @@ def test_what_does_not_move_has_no_slope():
         start = {"moved": jnp.zeros(()), "still": jnp.zeros(())}
         return fixed_point(Partial(halfway, a), start, tolerance=1e-15, max_iterations=100).value
 
-    def root_of_two(a):
-        return implicit(Partial(apart, a), {}, jnp.array([2.0, 3.0]))[1]
-
     for derivative in (jax.jacfwd, jax.jacrev):
-        root, slopes = jax.jit(lambda a, by=derivative: (by(root_of_two)(a), by(values)(a)))(2.0)
-        assert_allclose(root, [1, 0])
+        slopes = jax.jit(derivative(values))(2.0)
         assert_allclose([slopes["moved"], slopes["still"]], [1, 0], atol=1e-15)
 
 
-def test_a_singular_lane_has_a_finite_derivative_and_harms_no_other():
-    """x^3 = a at a = 0 has no derivative; beside it a = 8, where it is 1 / 12."""
+def test_slopes_that_do_not_settle_show_as_nan():
+    """The fixed point is v = 0.9 v + 0.1 p. After 64 iterations 1e-3 of its slope is missing."""
 
-    def cube(a):
-        step = Partial(lambda a, values, x: (values, x**3 - a), a)
-        return implicit(step, {}, jnp.cbrt(a)[None])[1][0]
-
-    slopes = jax.jit(jax.vmap(jax.grad(cube)))(jnp.array([0.0, 8.0]))
-    assert np.isfinite(slopes[0])
-    assert_allclose(slopes[1], 1 / 12, rtol=1e-14)
-
-
-def test_passes_of_slopes_that_do_not_settle_show_as_nan_where_the_lane_has_not_failed():
-    """The fixed point is v = 0.8 v + 0.2 u, and 2 v = p, so that u = p / 2. After 64 passes 6e-7 is missing."""
-
-    def root(p, failed):
-        def step(p, values, u):
-            return 0.8 * values + 0.2 * u, 2 * values - p
-
-        return implicit(Partial(step, p), p[None] / 2, p[None] / 2, failed)[1][0]
+    def value(p):
+        return implicit(Partial(lambda p, v: 0.9 * v + 0.1 * p, p), p)
 
     for derivative in (jax.jacfwd, jax.jacrev):
-        assert np.isnan(jax.jit(derivative(root))(1.0, jnp.array(False)))
-        masked = derivative(lambda p: jnp.where(p < 0, root(p, p > 0), 0.0))
-        assert jax.jit(masked)(1.0) == 0.0
+        assert np.isnan(jax.jit(derivative(value))(1.0))
 
 
 @pytest.mark.parametrize("shape", [(), (2,), (3,)])

@@ -1,8 +1,7 @@
 """The fixed point with implicit derivatives, which everything that is solved here uses; small linear systems.
 
 A fixed point y = update(y) is found by Picard iteration, and differentiated by the implicit function theorem: in both
-modes and to any order, in jit, vmap, scan and shard_map. Beside its values there may be a few unknowns with an equation
-each, such as the moment at the base of a loaded body.
+modes and to any order, in jit, vmap, scan and shard_map.
 """
 
 from collections.abc import Callable
@@ -11,7 +10,7 @@ from typing import NamedTuple, TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.tree_util import Partial
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, PyTree
 
 from . import tolerances as tol
@@ -20,10 +19,9 @@ from .rotations import solve_three
 
 Unknowns = Float[Array, " unknowns"]
 Tree = TypeVar("Tree")
-Slopes = TypeVar("Slopes", bound=tuple)
+Given = TypeVar("Given")
 Result = TypeVar("Result")
 Scalar = Float[Array, ""]
-Step = Callable[[Tree, Unknowns], tuple[Tree, Unknowns]]  # (values, unknowns) -> better values, residual
 
 
 class FixedPointResult(NamedTuple):
@@ -67,133 +65,97 @@ def fixed_point(
     value, change, count = picard(_measured(frozen, size), start, tolerance, max_iterations, off)
     good = (change <= tolerance) & acceptable(value)
     value = jax.tree.map(lambda new, old: jnp.where(good, new, old), value, start)
-    none = zero_as(value)[None][:0]
-    value, _ = implicit(Partial(_without_unknowns, update), value, none, max_iterations=max_iterations)
-    return FixedPointResult(value, count, change, good)
+    return FixedPointResult(implicit(update, value, max_iterations), count, change, good)
 
 
-def _without_unknowns(update: Callable[[Tree], Tree], values: Tree, unknowns: Unknowns) -> tuple[Tree, Unknowns]:
-    return update(values), unknowns
+def implicit(update: Callable[[Tree], Tree], value: Tree, max_iterations: int = tol.MAX_ITERATIONS) -> Tree:
+    """The fixed point y = update(y) that was found, with the derivatives that follow from this equation.
 
-
-def implicit(
-    step: Step,
-    values: Tree,
-    root: Unknowns,
-    failed: Bool[Array, ""] | bool = False,
-    max_iterations: int = tol.MAX_ITERATIONS,
-) -> tuple[Tree, Unknowns]:
-    """The same values and unknowns, with the derivatives that follow from the equations.
-
-    The equations are (values, 0) = step(values, unknowns), a fixed point for the values. The derivatives hold in both
-    modes and to any order. A linear iteration solves the fixed point; the Jacobian of the unknowns is dense. Where it
-    is singular, as in a lane of a batch that found no root, it is replaced by the identity, so that the derivative is
-    finite. Where nothing is differentiated, `step` is not evaluated.
+    They hold in both modes and to any order. They are solved by the linearised iteration, so that no Jacobian is
+    formed; where it does not settle they are NaN. Where nothing is differentiated, `update` is not evaluated.
 
     Args:
-        step: the equations. Derivatives are with respect to its leaves; everything else that it closes over must be
+        update: the map. Derivatives are with respect to its leaves; everything else that it closes over must be
             constant.
-        values: of the fixed point; without derivatives of their own.
-        root: where the residual is zero; without derivatives of its own.
-        failed: whether this lane of a batch has no solution. Then the slopes of the values by the unknowns are zero.
-            They would be NaN where the iteration does not settle, and in reverse mode zero times NaN is NaN.
+        value: the fixed point; without derivatives of its own.
         max_iterations: of the linear iteration.
     """
-    values, root = jax.tree.map(jax.lax.stop_gradient, (values, root))
-    return _root(step, values, root, failed, max_iterations=max_iterations)
+    return _found(update, jax.tree.map(jax.lax.stop_gradient, value), max_iterations=max_iterations)
 
 
-def slopes_by_unknowns(push: Callable[[Tree, Unknowns], Slopes], values: Tree, root: Unknowns) -> Slopes:
+@eqx.filter_custom_jvp
+def _found(update, value, *, max_iterations):
+    return value
+
+
+@_found.def_jvp
+def _(primals, tangents, *, max_iterations):
+    (update, value), (direction, _) = primals, tangents
+    value = _found(update, value, max_iterations=max_iterations)
+    moving, rest = eqx.partition(update, jax.tree.map(lambda _, way: way is not None, update, direction))
+    _, push = jax.linearize(lambda moving, value: eqx.combine(moving, rest)(value), moving, value)
+    return value, _solve_by_iteration(push, direction, value, max_iterations)
+
+
+def _solve_by_iteration(push: Callable[[Given, Tree], Tree], given: Given, like: Tree, max_iterations: int) -> Tree:
+    """The solution of v = push(given, v), where the iteration v <- push(given, v) settles; NaN elsewhere.
+
+    The system is solved for (given, v) together, of which the first part is known. So each iteration, also that of the
+    transposed system, evaluates `push` once, and no further evaluation follows. Both stand in one array, as
+    `custom_linear_solve` transposes neither empty arrays nor constant ones beside others.
+
+    Args:
+        push: a linear function.
+        given: the known part, of which the solution is a linear function.
+        like: numbers as those of v.
+        max_iterations: the largest number of iterations.
+    """
+    start, apart = ravel_pytree((given, jax.tree.map(jnp.zeros_like, like)))
+
+    def operator(both: Array) -> Array:
+        given, v = apart(both)
+        return ravel_pytree((given, minus(v, push(given, v))))[0]
+
+    def solve_linear(operator: Callable[[Array], Array], known: Array) -> Array:
+        def again(both: Array) -> Array:
+            return known + both - operator(both)
+
+        def size(change: Array, both: Array) -> Scalar:
+            return relative_size(apart(change)[1], apart(both)[1])
+
+        return by_iteration(again, known, max_iterations, size)
+
+    return apart(jax.lax.custom_linear_solve(operator, start, solve=solve_linear, transpose_solve=solve_linear))[1]
+
+
+def slopes_by_unknowns(
+    push: Callable[[Tree, Unknowns], tuple[Tree, Result]], values: Tree, unknowns: Unknowns
+) -> tuple[Tree, Result]:
     """The slopes of the values, and of all that follows from them, by the unknowns, which stand along a leading axis.
 
     They have no derivatives in reverse mode.
 
     Args:
-        push: (values, unknowns) -> a tuple of better values and what else follows, linearised at the values and root.
-        values, root: where.
+        push: (values, unknowns) -> better values and what else follows, linearised at the values and unknowns.
+        values, unknowns: where.
     """
 
-    def by(unit: Unknowns) -> Slopes:
+    def by(unit: Unknowns) -> tuple[Tree, Result]:
         start = jax.tree.map(lambda x: jnp.zeros_like(x) + 0.0 * unit[0], jax.eval_shape(push, values, unit))
         return by_iteration(lambda slopes: push(slopes[0], unit), start, tol.MAX_ITERATIONS)
 
-    return jax.vmap(by)(_units(root, values))
+    return jax.vmap(by)(jnp.eye(unknowns.size, dtype=unknowns.dtype) + zero_as(unknowns, values))
 
 
-def _units(root: Unknowns, *others: PyTree) -> Float[Array, "unknowns unknowns"]:
-    """A unit for each unknown, which varies over the same devices of shard_map as all numbers."""
-    return jnp.eye(root.size, dtype=root.dtype) + zero_as(root, *others)
-
-
-@eqx.filter_custom_jvp
-def _root(step, values, root, failed, *, max_iterations):
-    return values, root
-
-
-@_root.def_jvp
-def _(primals, tangents, *, max_iterations):
-    step, values, root, failed = primals
-    values, root = _root(step, values, root, failed, max_iterations=max_iterations)
-    pushed, push = linearised(lambda step, *at: step(*at), step, tangents[0], values, root)
-    slopes = _settled(push, pushed, root, max_iterations)
-    if not root.size:  # in a batch JAX wants an output that is the same in all lanes to have such a tangent
-        return (values, root), (slopes[0], jnp.zeros_like(root))
-    still = jax.tree.map(jnp.zeros_like, values)
-    by_unknowns = jax.vmap(lambda unit: _settled(push, push(still, unit), root, max_iterations))(_units(root, values))
-    by_unknowns = jax.tree.map(lambda slope: jnp.where(failed, 0.0, slope), by_unknowns)
-    root_slope = -_solve_where_regular(by_unknowns[1].T, slopes[1])
-    moved = jax.tree.map(lambda v, k: v + jnp.tensordot(root_slope, k, 1), slopes[0], by_unknowns[0])
-    return (values, root), (moved, root_slope)
-
-
-def _solve_where_regular(jacobian: Float[Array, "n n"], vector: Unknowns) -> Unknowns:
-    """The solution; where the matrix is singular, that with the identity in its place."""
-    size = jnp.max(jnp.abs(jacobian), axis=1)
-    regular = jnp.all(size != 0)  # NaN, of an iteration that does not settle, stays
-    size, eye = jnp.where(regular, size, 1.0), jnp.eye(vector.size, dtype=vector.dtype)
-    return solve_small(jnp.where(regular, jacobian / size[:, None], eye), vector / size)[0]
-
-
-def _settled(push: Callable[[Tree, Unknowns], Slopes], pushed: Slopes, root: Unknowns, max_iterations: int) -> Slopes:
-    """All slopes x with x = pushed + push(values of x, 0), by an iteration that ends where only rounding changes."""
-    still = jnp.zeros_like(root)
-    known, empty = _without_empty(pushed)  # `custom_linear_solve` cannot transpose empty arrays
-
-    def again(slopes: Slopes) -> Slopes:
-        return _without_empty(push(eqx.combine(slopes, empty)[0], still))[0]
-
-    return eqx.combine(solve_by_iteration(again, known, max_iterations), empty)
-
-
-def _without_empty(slopes: Slopes) -> tuple[Slopes, Slopes]:
-    """The arrays that hold numbers, and those that do not; None in the place of the others."""
-    return eqx.partition(slopes, lambda x: x.size > 0)
-
-
-def solve_by_iteration(push: Callable[[Tree], Tree], pushed: Tree, max_iterations: int) -> Tree:
-    """The solution of v = pushed + push(v), where the iteration v <- pushed + push(v) settles; NaN elsewhere.
-
-    Args:
-        push: a linear function.
-        pushed: the known part, of which the solution is a linear function.
-        max_iterations: the largest number of iterations.
-    """
-
-    def solve_linear(operator, b):
-        def again(v):
-            return jax.tree.map(lambda b, v, w: b + v - w, b, v, operator(v))
-
-        return by_iteration(again, b, max_iterations)
-
-    return jax.lax.custom_linear_solve(
-        lambda v: minus(v, push(v)), pushed, solve=solve_linear, transpose_solve=solve_linear
-    )
-
-
-def by_iteration(again: Callable[[Tree], Tree], first: Tree, max_iterations: int) -> Tree:
+def by_iteration(
+    again: Callable[[Tree], Tree],
+    first: Tree,
+    max_iterations: int,
+    size: Callable[[Tree, Tree], Scalar] = relative_size,
+) -> Tree:
     """The values that a linear update leaves as they are; NaN where its iteration does not settle."""
     settled = round_off(jax.tree.leaves(first)[0].dtype)
-    value, change, _ = picard(_measured(again, relative_size), first, settled, max_iterations)
+    value, change, _ = picard(_measured(again, size), first, settled, max_iterations)
     return jax.tree.map(lambda x: jnp.where(change <= 1e3 * settled, x, jnp.nan), value)
 
 
@@ -271,28 +233,6 @@ def slope_along(function: Callable[[Tree], Result], given: Tree, direction: PyTr
     moved = jax.tree.leaves(slope)
     still = 0.0 * moved[0].ravel()[0] if moved else 0.0  # linear as the others: `custom_linear_solve` transposes all
     return jax.tree.map(lambda x, v: jnp.zeros_like(x) + still if v is None else v, value, slope)
-
-
-def linearised(
-    function: Callable[..., Result], given: PyTree, direction: PyTree, *at: PyTree
-) -> tuple[Result, Callable[..., Result]]:
-    """The derivative of function(given, *at) along a direction of `given`, and by changes of `at`.
-
-    The function stands in the program once.
-
-    Args:
-        given, direction: as in `slope_along`.
-        at: the other arguments, arrays or trees of them.
-
-    Returns:
-        The derivative, and the linear function.
-    """
-    moving, rest = eqx.partition(given, jax.tree.map(lambda _, way: way is not None, given, direction))
-    _, push = jax.linearize(lambda moving, *at: function(eqx.combine(moving, rest), *at), moving, *at)
-    still, *unchanged = jax.tree.map(jnp.zeros_like, (moving, *at))
-    zero = 0.0 * jax.tree.leaves(direction)[0].ravel()[0]  # as in `slope_along`
-    slope = jax.tree.map(lambda slope: slope + zero, push(direction, *unchanged))
-    return slope, jax.linearize(lambda *changes: push(still, *changes), *unchanged)[1]
 
 
 def solve_small(

@@ -10,10 +10,21 @@ from jaxtyping import Array, Float
 
 from ..mechanics.directions import travel_under_tension
 from ..mechanics.friction import PerTendon
-from ..mechanics.march import finished
-from ..mechanics.problem import BodyStates, Number, Problem, Solution, State, all_points, nodal, strain_of
+from ..mechanics.march import FixedPoint, finished
+from ..mechanics.problem import (
+    BodyStates,
+    Method,
+    Nodal,
+    Number,
+    Problem,
+    Solution,
+    State,
+    all_points,
+    nodal,
+    strain_of,
+)
 from ..mechanics.tendon_displacement import tendon_displacement
-from ..numerics.fixed_point import Unknowns, implicit, without_derivative
+from ..numerics.fixed_point import Unknowns, implicit, solve_small, without_derivative
 from ..robot.cross_section import AnySection, where_present
 from .continuation import LoadPath
 from .settle import Settled, Setup, place, settle
@@ -38,57 +49,77 @@ def no_equations(problem: Problem, solution: Solution) -> Float[Array, " 0"]:
     return solution.tip.ratio[:0]
 
 
-def equilibrate(setup: Setup, base_tension: PerTendon) -> Balance:
+def equilibrate(setup: Setup) -> Balance:
     """Shape and tensions under given base tensions and loads, with implicit derivatives."""
-    return balance(setup, base_tension, settle(*without_derivative((setup, base_tension))))
+    return balance(setup, settle(without_derivative(setup)))
+
+
+class Balanced(NamedTuple):
+    """What an equilibrium consists of: the fixed point of a `System`."""
+
+    nodal: Nodal | None  # None without loads, as the states
+    states: BodyStates | None
+    unknowns: Unknowns
 
 
 class System(eqx.Module):
-    """One march, and the equations of the equilibrium, as `implicit` takes them.
+    """The chord method for an equilibrium: one march, and one Newton step for the equations, with constant slopes.
 
     The unknowns are the tensions that were searched for and the base moment.
     """
 
-    setup: Setup
-    base_tension: PerTendon
+    method: Method
+    problem: Problem  # under the loads of the end of the path
     settled: Settled
     equations: Equations
     unknown: tuple[int, ...] = eqx.field(static=True)
 
     @property
-    def root(self) -> Unknowns:
-        """The unknowns that were found."""
-        moment = [] if self.setup.loads is None else [jnp.atleast_1d(self.settled.load_path.base_moment)]
-        return jnp.concatenate([*[self.base_tension[i, None] for i in self.unknown], *moment, self.base_tension[:0]])
+    def found(self) -> Balanced:
+        """What the search found."""
+        settled, tension = self.settled, self.problem.base_tension
+        moment = [] if settled.nodal is None else [jnp.atleast_1d(settled.load_path.base_moment)]
+        unknowns = jnp.concatenate([*[tension[i, None] for i in self.unknown], *moment, tension[:0]])
+        return Balanced(settled.nodal, settled.states, unknowns)
 
-    def problem(self, unknowns: Unknowns) -> Problem:
+    def at(self, unknowns: Unknowns) -> Problem:
         """The problem with some values of the unknowns."""
         tensions, moment = jnp.split(unknowns, [len(self.unknown)])
-        path = self.settled.load_path
-        if self.setup.loads is not None:
-            path = path._replace(base_moment=moment.reshape(path.base_moment.shape))
-        tension = self.base_tension.at[jnp.asarray(self.unknown)].set(tensions) if self.unknown else self.base_tension
-        return place(self.setup, tension, self.settled._replace(load_path=path))
+        problem, tension = self.problem, self.problem.base_tension
+        if self.unknown:
+            tension = tension.at[jnp.asarray(self.unknown)].set(tensions)
+        if self.settled.nodal is not None:
+            moment = moment.reshape(problem.base_moment.shape) * problem.moment_scale
+            problem = eqx.tree_at(lambda problem: problem.base_moment, problem, moment)
+        return eqx.tree_at(lambda problem: problem.base_tension, problem, tension)
 
-    def __call__(self, states: BodyStates | None, unknowns: Unknowns) -> tuple[BodyStates | None, Unknowns]:
-        """Better states, and the residual."""
-        return self.improved(states, unknowns)[0]
+    def __call__(self, last: Balanced) -> Balanced:
+        """One iteration. Where nothing was found it is the constant `found`, which has zero derivatives."""
+        (better, residual), (_, solution) = self.improved(last.nodal, last.unknowns)
+        slopes, good = self.settled.slopes, self.settled.load_path.converged
+        step = -solve_small(slopes.residual.T, residual)[0]
+        states = None if last.states is None else solution.states
+        new = Balanced(slopes.moved(better, step), states, last.unknowns + step)
+        return jax.tree.map(lambda x, old: jnp.where(good, x, jax.lax.stop_gradient(old)), new, self.found)
 
     def improved(
-        self, states: BodyStates | None, unknowns: Unknowns
-    ) -> tuple[tuple[BodyStates | None, Unknowns], tuple[Problem, Solution]]:
-        """Better states and the residual; and the problem and the solution from which they follow.
+        self, last: Nodal | None, unknowns: Unknowns
+    ) -> tuple[tuple[Nodal | None, Unknowns], tuple[Problem, Solution]]:
+        """Better values of the nodes and the residual; and the problem and the solution from which they follow.
 
         The residual: the equations of the targets and the residual moment at the tip.
-        Without states the method solves the whole problem, with derivatives of its own.
+        Without loads the method solves the whole problem, with derivatives of its own.
         """
-        problem, setup = self.problem(unknowns), self.setup
-        if states is None:
-            better, solution = None, setup.method(problem)
+        problem = self.at(unknowns)
+        if last is None:
+            better, solution = None, self.method(problem)
         else:
-            found = setup.iteration.improve(problem, nodal(problem, states.nodes), states.nodes.strain)
-            better, solution = found.states, finished(problem, found)
-        residual = jnp.concatenate([self.equations(problem, solution), missing_moment(problem, solution)])
+            assert isinstance(self.method, FixedPoint)
+            assert self.settled.states is not None
+            solution = self.method.improve(problem, last, self.settled.states.nodes.strain)
+            better = nodal(problem, solution.nodes)
+        whole = solution if last is None else finished(problem, solution)
+        residual = jnp.concatenate([self.equations(problem, whole), missing_moment(problem, whole)])
         return (better, residual), (problem, solution)
 
 
@@ -101,7 +132,6 @@ def missing_moment(problem: Problem, solution: Solution) -> Float[Array, " equat
 
 def balance(
     setup: Setup,
-    base_tension: PerTendon,
     settled: Settled,
     unknown: tuple[int, ...] = (),
     equations: Equations = no_equations,
@@ -109,21 +139,20 @@ def balance(
     """What was found, now with derivatives.
 
     Args:
-        setup: the manipulator and its loads.
-        base_tension: T_base, N, with derivatives where it is given, without where it was searched for.
+        setup: its tensions have derivatives where they are given, and none where they were searched for.
         settled: what was found for these tensions.
         unknown: the tendons whose tension was searched for.
         equations: the residuals of the targets that are zero at these tensions, one for each; a pytree, see `implicit`.
     """
-    system = System(setup, base_tension, settled, equations, unknown)
-    found, states, root = settled.load_path, settled.states, system.root
-    if states is not None or unknown:
-        states, root = implicit(system, states, root, ~found.converged)
-    problem = system.problem(root)
-    if states is None:
+    system = System(setup.method, place(setup, settled), settled, equations, unknown)
+    found, balanced = settled.load_path, system.found
+    if balanced.unknowns.size:
+        balanced = implicit(system, balanced)
+    problem = system.at(balanced.unknowns)
+    if balanced.states is None:
         return _without_loads(problem, setup.method(problem), found)
     ended = settled.num_iterations, settled.change, found.resolved, settled.locked, settled.missed
-    solution = finished(problem, Solution(states, *ended))
+    solution = finished(problem, Solution(balanced.states, *ended))
     grown = jnp.where(found.converged, settled.error_amplification, 1.0)
     return Balance(problem, solution, found, settled.travel, grown)
 

@@ -13,24 +13,33 @@ import jax.numpy as jnp
 from ..mechanics.directions import find_directions, travel_under_tension
 from ..mechanics.friction import PerTendon
 from ..mechanics.march import FixedPoint, unbent
-from ..mechanics.problem import BodyStates, Method, Number, Problem, lay_out, loaded_to, state_at_nodes
+from ..mechanics.problem import BodyStates, Method, Nodal, Number, Problem, lay_out, loaded_to, nodal, state_at_nodes
 from ..mechanics.tendon_displacement import tendon_displacement
 from ..numerics.arrays import varying_as, zero_as
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from .continuation import LoadPath, follow_loads
-from .shooting import Flag, LoadedBody
+from .shooting import Flag, LoadedBody, Slopes, no_slopes
 
 
 class Setup(eqx.Module):
-    """A manipulator, its loads, and the settings of the solve."""
+    """What is to be solved, and how."""
 
-    manipulator: Manipulator
-    direction: PerTendon  # any number for a tendon whose direction is to be found
-    loads: Loads | None
+    problem: Problem  # under all loads; a tension or direction that is to be found is any number
+    rough: Problem | None  # likewise; None without loads
     method: Method
-    nodes: int = eqx.field(static=True)
-    to_find: tuple[int, ...] = eqx.field(default=(), static=True)  # the tendons whose direction is not stated
+    to_find: tuple[int, ...] = eqx.field(static=True)  # the tendons whose direction is not stated
+
+    @property
+    def manipulator(self) -> Manipulator:
+        """The body and its tendons."""
+        return self.problem.manipulator
+
+    @property
+    def zero(self) -> Number:
+        """0, which varies over the same devices of shard_map as what is given."""
+        given = self.problem
+        return zero_as(given.manipulator, given.base_tension, given.direction, given.loads)
 
     @property
     def iteration(self) -> FixedPoint:
@@ -38,13 +47,36 @@ class Setup(eqx.Module):
         assert isinstance(self.method, FixedPoint)
         return self.method
 
-    def lay_out(self, base_tension: PerTendon, rough: bool = False) -> Problem:
-        """The problem under the full loads."""
-        return lay_out(self.manipulator, base_tension, self.direction, self.nodes, self.loads, rough=rough)
+    def pulled(self, base_tension: PerTendon) -> "Setup":
+        """The same with other base tensions, N."""
+        return _with(self, "base_tension", base_tension)
 
     def sliding(self, direction: PerTendon) -> "Setup":
         """The same with other directions."""
-        return eqx.tree_at(lambda setup: setup.direction, self, direction)
+        return _with(self, "direction", direction)
+
+
+def _with(setup: Setup, name: str, value: PerTendon) -> Setup:
+    """The same with another value of a number of its problems."""
+
+    def places(setup: Setup) -> list[PerTendon]:
+        return [getattr(problem, name) for problem in (setup.problem, setup.rough) if problem is not None]
+
+    return eqx.tree_at(places, setup, [value for _ in places(setup)])
+
+
+def set_up(
+    manipulator: Manipulator,
+    base_tension: PerTendon,
+    direction: PerTendon,
+    loads: Loads | None,
+    method: Method,
+    nodes: int,
+    to_find: tuple[int, ...],
+) -> Setup:
+    """Lay out the problems of a solve."""
+    given = manipulator, base_tension, direction, nodes, loads
+    return Setup(lay_out(*given), None if loads is None else lay_out(*given, rough=True), method, to_find)
 
 
 class Settled(NamedTuple):
@@ -53,7 +85,9 @@ class Settled(NamedTuple):
     direction: PerTendon
     load_path: LoadPath
     travel: PerTendon  # with which directions are compared, m
-    states: BodyStates | None  # along the body, those of `unbent` where none was found; None without loads
+    nodal: Nodal | None  # the unknowns of the march, those of `unbent` where none were found; None without loads
+    states: BodyStates | None  # along the body, likewise
+    slopes: Slopes  # by the base moment, approximately; by tensions and base moment where tensions were searched for
     missed: Number | float  # as in a `Solution`
     change: Number  # in the last iteration, relative
     num_iterations: Number
@@ -61,66 +95,85 @@ class Settled(NamedTuple):
     error_amplification: Number  # the factor by which errors along the body grow
 
 
-def place(setup: Setup, base_tension: PerTendon, settled: Settled) -> Problem:
+def place(setup: Setup, settled: Settled) -> Problem:
     """The problem that one march solves. Where the path of the loads ended early, it is under the loads of its end."""
-    problem = setup.sliding(settled.direction).lay_out(base_tension)
-    if setup.loads is None:
+    problem = setup.sliding(settled.direction).problem
+    if problem.loads is None:
         return problem
     found = settled.load_path
     fraction = jnp.where(found.converged, 1.0, found.fraction)
     return loaded_to(problem, fraction, found.base_moment * problem.moment_scale)
 
 
-def settle(setup: Setup, base_tension: PerTendon) -> Settled:
+def settle(setup: Setup) -> Settled:
     """Find the directions that are not stated, and the moment at the base; without derivatives."""
+    loaded = setup.problem.loads is not None
     if not setup.to_find:
-        return _loaded(setup, base_tension) if setup.loads is not None else _nothing_to_find(setup, base_tension)
+        return _loaded(setup) if loaded else _nothing_to_find(setup)
 
     def attempt(direction: PerTendon) -> tuple[Settled, PerTendon, Flag]:
-        solve = _loaded if setup.loads is not None else _unloaded
-        settled = solve(setup.sliding(direction), base_tension)
+        settled = (_loaded if loaded else _unloaded)(setup.sliding(direction))
         return settled, settled.travel, settled.load_path.converged
 
-    start = unsettled(setup, base_tension)
-    return find_directions(setup.manipulator, base_tension, start.direction, setup.to_find, attempt, start)
+    start, tension = unsettled(setup), setup.problem.base_tension
+    return find_directions(setup.manipulator, tension, start.direction, setup.to_find, attempt, start)
 
 
-def unsettled(setup: Setup, base_tension: PerTendon) -> Settled:
+def unsettled(setup: Setup) -> Settled:
     """Where `settle` starts: no loads, no friction."""
-    start = _nothing_to_find(setup, base_tension)
-    if setup.loads is None:
+    start, problem = _nothing_to_find(setup), setup.problem
+    if problem.loads is None:
         return start
     zero = start.num_iterations
-    problem = setup.lay_out(base_tension)
     path = start.load_path._replace(base_moment=0.0 * problem.base_moment + zero, fraction=zero)
-    return start._replace(load_path=path, states=varying_as(unbent(problem), zero))
+    states = varying_as(unbent(problem), zero)
+    values = nodal(problem, states.nodes)
+    count = max(problem.base_moment.size, 1)
+    return start._replace(load_path=path, nodal=values, states=states, slopes=no_slopes(values, count, count, zero))
 
 
-def _nothing_to_find(setup: Setup, base_tension: PerTendon) -> Settled:
+def _nothing_to_find(setup: Setup) -> Settled:
     """Without loads, and where all directions are stated."""
-    zero = zero_as(setup, base_tension)
+    zero = setup.zero
     true = zero == 0
     path = LoadPath(zero, zero + 1.0, zero, converged=true, stable=true, resolved=true)
-    return Settled(setup.direction + zero, path, base_tension + zero, None, zero, zero, zero, ~true, zero + 1.0)
+    return Settled(
+        direction=setup.problem.direction + zero,
+        load_path=path,
+        travel=setup.problem.base_tension + zero,
+        nodal=None,
+        states=None,
+        slopes=no_slopes(None, 0, 0, zero),
+        missed=zero,
+        change=zero,
+        num_iterations=zero,
+        locked=~true,
+        error_amplification=zero + 1.0,
+    )
 
 
-def _loaded(setup: Setup, base_tension: PerTendon) -> Settled:
+def _loaded(setup: Setup) -> Settled:
     """Follow the loads on the rough body, then settle the body with its kinks."""
-    start = _nothing_to_find(setup, base_tension)
-    rough, body = (LoadedBody(setup.lay_out(base_tension, each), setup.iteration) for each in (True, False))
+    assert setup.rough is not None
+    start = unsettled(setup)
+    rough, body = (LoadedBody(problem, setup.iteration) for problem in (setup.rough, setup.problem))
     path, end = follow_loads(rough, start.num_iterations)
     pull = state_at_nodes(rough.problem, end.values.nodal, end.strain).pull
-    found, num_iterations = rough.refine(end, body, path.fraction)
+    slopes = rough.slopes_by_moment(end, body)
+    found, num_iterations = rough.refine(end, slopes, body, path.fraction)
     path = path._replace(
         base_moment=jnp.where(path.converged, found.moment, path.base_moment),
         converged=path.converged & found.settled,
         resolved=path.resolved & (found.settled | ~path.converged),
     )
+    settled = partial(jnp.where, path.converged)
     return Settled(
         direction=start.direction,
         load_path=path,
         travel=travel_under_tension(rough.problem, pull, rough.travel_rate(end, path.fraction)),
-        states=jax.tree.map(partial(jnp.where, path.converged), found.states, unbent(body.problem)),
+        nodal=jax.tree.map(settled, found.nodal, start.nodal),
+        states=jax.tree.map(settled, found.states, start.states),
+        slopes=slopes,
         missed=found.missed,
         change=found.change,
         num_iterations=num_iterations,
@@ -129,10 +182,10 @@ def _loaded(setup: Setup, base_tension: PerTendon) -> Settled:
     )
 
 
-def _unloaded(setup: Setup, base_tension: PerTendon) -> Settled:
+def _unloaded(setup: Setup) -> Settled:
     """The travel of the tendons of a body without loads."""
-    problem = setup.lay_out(base_tension)
+    problem = setup.problem
     found = setup.method(problem)
     travel = travel_under_tension(problem, found.nodes.pull, tendon_displacement(problem, found.nodes))
-    start = _nothing_to_find(setup, base_tension)
+    start = _nothing_to_find(setup)
     return start._replace(travel=travel, load_path=start.load_path._replace(converged=found.converged))

@@ -5,6 +5,7 @@ M_ext(0). The fixed point of the march and Newton's method for M_ext(0) go on to
 with the slopes of all values by M_ext(0), and then takes one Newton step.
 """
 
+from functools import partial
 from typing import NamedTuple, TypeVar
 
 import equinox as eqx
@@ -29,7 +30,7 @@ from ..mechanics.problem import (
 from ..mechanics.tendon_displacement import tendon_displacement
 from ..numerics import tolerances as tol
 from ..numerics.arrays import computed_once, decided, largest_size, relative_size, varying_as, zero_as
-from ..numerics.fixed_point import picard
+from ..numerics.fixed_point import Unknowns, picard
 
 Tree = TypeVar("Tree")
 Flag = Bool[Array, ""]
@@ -70,6 +71,23 @@ class _March(NamedTuple):
     slopes: Values
     residual_slopes: Array
     solution: Solution
+
+
+class Slopes(NamedTuple):
+    """By the unknowns, along the leading axis: the tensions that are searched for, and M_ext(0) over its scale."""
+
+    nodal: Nodal | None  # None without loads
+    residual: Float[Array, "unknowns equations"]
+
+    def moved(self, values: Tree, step: Unknowns) -> Tree:
+        """The values after a step of the unknowns."""
+        return jax.tree.map(lambda x, slope: x + jnp.tensordot(step, slope, 1), values, self.nodal)
+
+
+def no_slopes(nodal: Nodal | None, unknowns: int, equations: int, zero: Number) -> Slopes:
+    """Slopes of a body that has not moved."""
+    still = jax.tree.map(lambda x: jnp.zeros((unknowns, *x.shape), x.dtype) + zero, nodal)
+    return Slopes(still, jnp.eye(unknowns, equations, dtype=zero.dtype) + zero)
 
 
 class Polished(NamedTuple):
@@ -172,11 +190,22 @@ class LoadedBody(NamedTuple):
             steady &= relative_size(turns - last, turns) <= tol.STEADY
         return (off <= enough) & steady
 
-    def refine(self, end: Iterate, finer: "LoadedBody", fraction: Number) -> tuple["Polished", Number]:
-        """The equilibrium of the same body without roughness, by the chord method: with the slopes of `end`.
+    def slopes_by_moment(self, end: Iterate, finer: "LoadedBody") -> Slopes:
+        """The slopes of an equilibrium by M_ext(0) over its scale, at the nodes of the same body without roughness."""
+        count = len(end.residual_slopes) - 1
+        by_moment = jax.tree.map(lambda slopes: slopes[:count], end.slopes.nodal)
+        nodal_slopes = jax.tree.map(jax.vmap(partial(self._onto, finer)), by_moment)
+        return Slopes(nodal_slopes, end.residual_slopes[:count].reshape(count, count))
+
+    def _onto(self, finer: "LoadedBody", x: Array) -> Array:
+        return self.problem.elements.refined(x, finer.problem.elements)
+
+    def refine(self, end: Iterate, slopes: Slopes, finer: "LoadedBody", fraction: Number) -> tuple["Polished", Number]:
+        """The equilibrium of the same body without roughness, by the chord method.
 
         Args:
             end: an equilibrium of this body.
+            slopes: of `slopes_by_moment`.
             finer: the body with its kinks.
             fraction: of the loads.
 
@@ -184,11 +213,7 @@ class LoadedBody(NamedTuple):
             The equilibrium, and the number of iterations.
         """
 
-        def onto(x: Array) -> Array:
-            return self.problem.elements.refined(x, finer.problem.elements)
-
-        nodal_slopes = jax.tree.map(jax.vmap(onto), end.slopes.nodal)
-        values, strain = jax.tree.map(onto, (end.values.nodal, end.strain))
+        values, strain = jax.tree.map(partial(self._onto, finer), (end.values.nodal, end.strain))
         rest, zero = unbent(finer.problem), 0.0 * end.change
 
         def chord(last: Polished) -> tuple[Polished, Number]:
@@ -196,8 +221,7 @@ class LoadedBody(NamedTuple):
             solution = finer.method.improve(here, last.nodal, last.states.nodes.strain, last.change)
             residual = moment_left_at_tip(here, solution)
             step, off = _newton_step(self.problem, last.moment, residual, end.slopes.heading, end.residual_slopes)
-            better = nodal(here, solution.nodes)
-            moved = jax.tree.map(lambda x, slope: x + along_moment(slope, step), better, nodal_slopes)
+            moved = slopes.moved(nodal(here, solution.nodes), jnp.atleast_1d(step))
             change = jnp.maximum(solution.residual, off)
             settled = solution.converged & (off * off <= _round_off(off) * jnp.maximum(last.change, off))
             settled, lost = decided(settled), decided(solution.locked | ~jnp.isfinite(change))

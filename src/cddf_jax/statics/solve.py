@@ -42,7 +42,7 @@ from .arguments import (
 from .balance import Balance, equilibrate, inside_of_bend
 from .equilibrium import Dense, Equilibrium, nan_unless
 from .equilibrium_text import result_in_words
-from .settle import Setup
+from .settle import Setup, set_up
 from .status import Status, first_of
 from .targets import Actuation, Displacement, TipAngle, TipStiffness
 from .tension_search import Found, Targets, reach
@@ -172,8 +172,8 @@ def _solve(
     numbers = jax.tree.leaves(eqx.filter(asked, eqx.is_inexact_array))
     finite = jnp.all(jnp.isfinite(jnp.concatenate([x.ravel() for x in numbers])))
     manipulator, given, direction, (targets, loads) = harmless(*asked)
-    setup = Setup(manipulator, direction, loads, method, nodes, to_find)
-    balance, found = _equilibrium(setup, given, targets)
+    setup = set_up(manipulator, given, direction, loads, method, nodes, to_find)
+    balance, found = _equilibrium(setup, targets)
     physical = finite & is_physical(asked[0], asked[1], asked[2], balance.problem)
     return _outputs(balance, found, physical & are_possible(targets, balance.problem))
 
@@ -244,11 +244,12 @@ def _fraction_left(problem: Problem, tip: Pull) -> PerTendon | float:
     return jnp.where(pulled, unspent(problem.base_tension, tip) / jnp.where(pulled, problem.base_tension, 1.0), 1.0)
 
 
-def _equilibrium(setup: Setup, given: PerTendon, targets: Targets) -> tuple[Balance, Found]:
+def _equilibrium(setup: Setup, targets: Targets) -> tuple[Balance, Found]:
     if any(target is not None for target in targets):
-        return reach(setup, given, targets)
-    true = zero_as(given) == 0
-    return equilibrate(setup, given), Found(miss=jnp.zeros_like(given), reached=true, slack=~true, determined=true)
+        return reach(setup, targets)
+    missed = jnp.zeros_like(setup.problem.base_tension)
+    true = zero_as(missed) == 0
+    return equilibrate(setup), Found(missed, reached=true, slack=~true, determined=true)
 
 
 # --- fields along the body -----------------------------------------------------------------------

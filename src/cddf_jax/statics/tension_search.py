@@ -1,25 +1,28 @@
 """The search for base tensions that reach targets, or come nearest to them."""
 
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.tree_util import Partial
 from jaxtyping import Array, Bool, Float, Int
 
 from ..mechanics.directions import is_contradicted
-from ..mechanics.friction import PerTendon
 from ..mechanics.problem import Number, Problem, Solution, geometry_of
 from ..numerics import tolerances as tol
 from ..numerics.arrays import zero_as
 from ..numerics.fixed_point import picard, slopes_by_unknowns, solve_small, without_derivative
 from .balance import Balance, Equations, System, balance, inside_of_bend
-from .settle import Settled, Setup, settle, unsettled
+from .settle import Settled, Setup, place, settle, unsettled
+from .shooting import Slopes, no_slopes
 from .targets import CurvatureAt, Displacement, Target, TipAngle, TipPosition, bending_tension
 
 Tensions = Float[Array, " unknowns"]  # over their scale
 Flags = Bool[Array, " unknowns"]
+Rule = Callable[[Float[Array, " targets"], Tensions], Tensions]
 
 
 class Found(NamedTuple):
@@ -44,7 +47,6 @@ class _Aim(NamedTuple):
     """The targets of a search, without derivatives, and its limits."""
 
     setup: Setup
-    given: PerTendon  # N; where a tension is unknown the entry is not used
     unknown: tuple[int, ...]  # the tendons whose tension is searched for
     misses: Equations
     scale: Number  # of tensions, N
@@ -56,26 +58,57 @@ class _Aim(NamedTuple):
 
     def evaluate(self, tension: Tensions) -> _TensionTrial:
         """Solve for given tensions: the misses of the targets, and their slopes."""
-        base_tension = self.given.at[jnp.asarray(self.unknown)].set(self.scale * tension)
-        settled = settle(self.setup, base_tension)
-        system = System(self.setup, base_tension, settled, self.misses, self.unknown)
-        (_, rows), push, there = jax.linearize(system.improved, settled.states, system.root, has_aux=True)
-        moments = 0 if self.setup.loads is None else geometry_of(self.setup.manipulator).no_moment.size
-        residual = rows[: rows.size - moments]
-        jacobian = _at_constant_moment(slopes_by_unknowns(push, settled.states, system.root)[1].T, moments)
+        setup = self.with_tensions(self.setup, tension)
+        settled = settle(setup)
+        system = System(setup.method, place(setup, settled), settled, self.misses, self.unknown)
+        start = settled.nodal, system.found.unknowns
+        (_, residual), push, there = jax.linearize(system.improved, *start, has_aux=True)
+        slopes = Slopes(*slopes_by_unknowns(push, *start))
+        residual = residual[: residual.size - self.num_moments]
+        jacobian = _at_constant_moment(slopes.residual.T, self.num_moments)
         # one more march of a body that has settled may change more than the tolerance
-        fine = there[1].converged if settled.states is None else settled.load_path.converged
+        fine = there[1].converged if settled.nodal is None else settled.load_path.converged
         fine = fine & jnp.all(inside_of_bend(*there) < 1.0)
         cost = jnp.sum(residual**2)
         fine = fine & jnp.isfinite(cost + jnp.sum(jacobian))
-        return _TensionTrial(tension, residual, self.scale * jacobian, jnp.where(fine, cost, jnp.inf), settled)
+        cost, settled = jnp.where(fine, cost, jnp.inf), settled._replace(slopes=slopes)
+        return _TensionTrial(tension, residual, self.scale * jacobian, cost, settled)
+
+    def with_tensions(self, setup: Setup, tension: Tensions) -> Setup:
+        """The setup with values of the unknown tensions."""
+        given = setup.problem.base_tension
+        return setup.pulled(given.at[jnp.asarray(self.unknown)].set(self.scale * tension))
+
+    @property
+    def num_moments(self) -> int:
+        """Components of the moment at the base that have to be found."""
+        return 0 if self.setup.rough is None else self.setup.problem.base_moment.size
+
+    def balanced(self, setup: Setup, best: _TensionTrial, misses: Equations, rule: Rule) -> Balance:
+        """The equilibrium at the tensions that were found, which follow a rule.
+
+        Args:
+            setup: with derivatives, as the misses.
+            misses: of the targets.
+            rule: (misses, unknown tensions over their scale) -> zeros, one for each tension; linear but for a constant.
+            best: the trial at these tensions.
+        """
+        by_misses, by_moment = jnp.split(best.settled.slopes.residual, [best.residual.size], axis=1)
+        units = jnp.eye(by_misses.shape[0], best.tension.size, dtype=best.tension.dtype) / self.scale
+        at = best.residual, best.tension
+        rows = jax.vmap(lambda *slopes: jax.jvp(rule, at, slopes)[1])(by_misses, units)
+        slopes = best.settled.slopes._replace(residual=jnp.concatenate([rows, by_moment], axis=1))
+        settled = without_derivative(best.settled._replace(slopes=slopes))
+        equations = Partial(_ruled, rule, misses, self.scale, np.asarray(self.unknown))
+        return balance(self.with_tensions(setup, best.tension), settled, self.unknown, equations)
 
     def nothing(self, start: Tensions, targets: int) -> _TensionTrial:
         """The first "best" trial of a search: no equilibrium, with infinite cost."""
-        zero = zero_as(self.setup, self.given, start)
-        blank = unsettled(self.setup, self.given + zero)
-        blank = blank._replace(load_path=blank.load_path._replace(converged=zero > 0))
+        zero = self.setup.zero + zero_as(start)
+        blank = unsettled(self.setup)
         slopes = jnp.eye(targets, start.size, dtype=start.dtype) + zero
+        none = no_slopes(blank.nodal, start.size + self.num_moments, targets + self.num_moments, zero)
+        blank = blank._replace(load_path=blank.load_path._replace(converged=zero > 0), slopes=none)
         return _TensionTrial(start + zero, slopes[:, 0] * 0.0, slopes, zero + jnp.inf, blank)
 
 
@@ -88,30 +121,34 @@ def _at_constant_moment(slopes: Float[Array, "equations unknowns"], moments: int
     return slopes[:targets, :tensions] - slopes[:targets, tensions:] @ followed
 
 
+def _ruled(
+    rule: Rule, misses: Equations, scale: Number, unknown: np.ndarray, problem: Problem, solution: Solution
+) -> Tensions:
+    return rule(misses(problem, solution), problem.base_tension[unknown] / scale)
+
+
 Targets = tuple[Target | TipPosition | None, ...]  # one per tendon, None where the tension is given; or one of the tip
 
 
-def reach(setup: Setup, given: PerTendon, targets: Targets) -> tuple[Balance, Found]:
+def reach(setup: Setup, targets: Targets) -> tuple[Balance, Found]:
     """The equilibrium in which targets are reached; its tensions have the derivatives of the implicit function.
 
     Args:
-        setup: the manipulator and its loads.
-        given: T_base, N; where there is a target the entry is not used.
+        setup: where there is a target its tension is not used.
         targets: one per tendon, None where the tension is given; or a single `TipPosition`.
     """
     if isinstance(targets[0], TipPosition):
-        return _reach_place(setup, given, targets[0])
+        return _reach_place(setup, targets[0])
     wanted = {i: target for i, target in enumerate(targets) if isinstance(target, Target)}
-    aim = _aim_at(*without_derivative((setup, given, wanted)))
+    aim = _aim_at(*without_derivative((setup, wanted)))
     start = jnp.full_like(aim.least, tol.FIRST_TENSION)
     best, slack = _levenberg_marquardt(aim, aim.nothing(start, len(wanted)), start, start < 0)
     reached, determined = _is_reached(aim, best, slack)
     sizes = jnp.stack([target.size(setup) for target in wanted.values()])
-    miss = jnp.zeros_like(given).at[jnp.asarray(aim.unknown)].set(best.residual * sizes)
-    equations = Partial(_equations, setup, wanted, aim.scale, best.tension, reached & determined & ~slack)
-    tension = given.at[jnp.asarray(aim.unknown)].set(aim.scale * best.tension)
+    miss = jnp.zeros_like(setup.problem.base_tension).at[jnp.asarray(aim.unknown)].set(best.residual * sizes)
     found = Found(miss, reached, jnp.any(slack), determined)
-    return balance(setup, tension, best.settled, aim.unknown, equations), found
+    rule = Partial(_unless_missed, reached & determined & ~slack, best.tension)
+    return aim.balanced(setup, best, Partial(_misses, setup, wanted), rule), found
 
 
 def _is_reached(aim: _Aim, best: _TensionTrial, slack: Flags) -> tuple[Bool[Array, ""], Bool[Array, ""]]:
@@ -122,13 +159,12 @@ def _is_reached(aim: _Aim, best: _TensionTrial, slack: Flags) -> tuple[Bool[Arra
     return jnp.isfinite(best.cost) & (missed <= _tolerance(aim.scale)), pivots > tol.WELL_DETERMINED
 
 
-def _aim_at(setup: Setup, given: PerTendon, wanted: "Wanted") -> _Aim:
+def _aim_at(setup: Setup, wanted: "Wanted") -> _Aim:
     scale, frames = bending_tension(setup), geometry_of(setup.manipulator).has_frames
     kinds = list(wanted.values())
-    least = jnp.zeros(len(wanted)) + zero_as(scale, given, wanted)
+    least = jnp.zeros(len(wanted)) + setup.zero + zero_as(wanted)
     return _Aim(
         setup,
-        given,
         tuple(wanted),
         Partial(_misses, setup, wanted),
         scale,
@@ -146,18 +182,9 @@ def _tolerance(number: Number) -> float:
 Wanted = dict[int, Target]  # by tendon
 
 
-def _equations(
-    setup: Setup,
-    wanted: Wanted,
-    scale: Number,
-    found: Tensions,
-    free: Flags,
-    problem: Problem,
-    solution: Solution,
-) -> Float[Array, " unknowns"]:
-    """The residuals: the misses of the targets; where a target is not reached, the change of the tension instead."""
-    tension = problem.base_tension[jnp.asarray(list(wanted))] / scale
-    return jnp.where(free, _misses(setup, wanted, problem, solution), tension - found)
+def _unless_missed(free: Flags, found: Tensions, misses: Array, tension: Tensions) -> Float[Array, " unknowns"]:
+    """The misses of the targets; where a target is not reached, the change of the tension instead."""
+    return jnp.where(free, misses, tension - found)
 
 
 def _misses(setup: Setup, wanted: Wanted, problem: Problem, solution: Solution) -> Float[Array, " unknowns"]:
@@ -275,15 +302,14 @@ def _step(aim: _Aim, held: Flags, best: _TensionTrial, damping: Number, slack: F
 # --- a position of the tip ------------------------------------------------------------------------
 
 
-def _reach_place(setup: Setup, given: PerTendon, target: TipPosition) -> tuple[Balance, Found]:
+def _reach_place(setup: Setup, target: TipPosition) -> tuple[Balance, Found]:
     """The equilibrium whose tip is at a position, or nearest to it, with the least sum of tensions."""
-    frozen_setup, frozen_given, frozen = without_derivative((setup, given, target))
-    scale = bending_tension(frozen_setup)
+    frozen_setup, frozen = without_derivative((setup, target))
+    scale, given = bending_tension(frozen_setup), frozen_setup.problem.base_tension
     aim = _Aim(
         frozen_setup,
-        frozen_given,
         tuple(range(given.size)),
-        Partial(frozen.misses, frozen_setup),
+        Partial(TipPosition.misses, frozen, frozen_setup),
         scale,
         *frozen.limits(scale, given),
     )
@@ -293,8 +319,8 @@ def _reach_place(setup: Setup, given: PerTendon, target: TipPosition) -> tuple[B
     found = _found_near_place(aim, best, jacobian, inside)
     follow = jnp.where(found.reached, jnp.linalg.pinv(jacobian * inside, rtol=_same_effect(scale)), 0.0)
     moves = jnp.eye(given.size, dtype=given.dtype) - follow @ jacobian
-    equations = Partial(_place_equations, setup, target, scale, best.tension, follow, moves)
-    return balance(setup, scale * best.tension, best.settled, aim.unknown, equations), found
+    rule = Partial(_between_limits, *target.limits(scale, given), best.tension, follow, moves)
+    return aim.balanced(setup, best, Partial(TipPosition.misses, target, setup), rule), found
 
 
 def _found_near_place(
@@ -308,24 +334,21 @@ def _found_near_place(
     return Found(miss, reached, jnp.zeros_like(reached), rank(both * inside) == jnp.sum(inside), rank(jacobian))
 
 
-def _place_equations(
-    setup: Setup,
-    target: TipPosition,
-    scale: Number,
+def _between_limits(
+    least: Tensions,
+    most: Tensions,
     found: Tensions,
     follow: Float[Array, "unknowns components"],
     moves: Float[Array, "unknowns unknowns"],
-    problem: Problem,
-    solution: Solution,
+    misses: Float[Array, " components"],
+    tension: Tensions,
 ) -> Tensions:
     """One equation for each tension: tensions at a limit stay there, the others follow the position by least change.
 
     The derivative of the equations by the tensions is the identity.
     """
-    least, most = target.limits(scale, problem.base_tension)
     limit = jnp.where(found <= least, least, jnp.where(found >= most, most, found))
-    away = problem.base_tension / scale - limit
-    return follow @ target.misses(setup, problem, solution) + moves @ away
+    return follow @ misses + moves @ (tension - limit)
 
 
 class _Rounds(NamedTuple):
@@ -346,7 +369,8 @@ def _least_total(aim: _Aim, target: TipPosition) -> _TensionTrial:
     tensions beyond the best ones, where other directions may hold. Each further search starts after a step of the
     gradient projection method, and brings the tip back.
     """
-    alike = jnp.clip(tol.FIRST_TENSION + zero_as(target, aim.given) + jnp.zeros_like(aim.given), aim.least, aim.most)
+    zero = zero_as(target) + aim.setup.zero
+    alike = jnp.clip(tol.FIRST_TENSION + zero + jnp.zeros_like(aim.least), aim.least, aim.most)
     nothing = aim.nothing(alike, jnp.size(target.value))
     zero = zero_as(nothing)
     alike = alike + zero
