@@ -269,7 +269,7 @@ class FixedPoint(eqx.Module):
                 guess, off = _once(problem, guess)
             settings = {"tolerance": least, "max_iterations": self.max_iterations}
             values, count, change, good = fixed_point(update, guess, **settings, acceptable=_acceptable, off=off)
-        found = finished(problem, self.improve(problem, values))
+        found = self.improve(problem, values)
         good = good & jnp.all(found.tip.ratio > 0)
         locked = (change <= least) & ~good
         return Solution(found.states, count, change, good, locked, found.missed)
@@ -342,6 +342,8 @@ def _solved(problem: Problem, starts: State, nodes: State, ends: State, elastic:
 
 def finished(problem: Problem, solution: Solution) -> Solution:
     """The solution with wrap angle and position, in space without loads also with rotations."""
+    if solution.nodes.growth is None:
+        return solution
     cut, geometry, states = problem.elements, problem.geometry, solution.states
     strain = strain_along(problem.nodes, problem.base_tension, states.nodes)
     headings, missed = [state.heading for state in states], solution.missed

@@ -118,8 +118,7 @@ class System(eqx.Module):
             assert self.settled.states is not None
             solution = self.method.improve(problem, last, self.settled.states.nodes.strain)
             better = nodal(problem, solution.nodes)
-        whole = solution if last is None else finished(problem, solution)
-        residual = jnp.concatenate([self.equations(problem, whole), missing_moment(problem, whole)])
+        residual = jnp.concatenate([self.equations(problem, solution), missing_moment(problem, solution)])
         return (better, residual), (problem, solution)
 
 
@@ -157,7 +156,8 @@ def balance(
     return Balance(problem, solution, found, settled.travel, grown)
 
 
-def _without_loads(problem: Problem, solution: Solution, path: LoadPath) -> Balance:
+def _without_loads(problem: Problem, found: Solution, path: LoadPath) -> Balance:
+    solution = finished(problem, found)
     path = path._replace(converged=path.converged & solution.converged)
     travel = travel_under_tension(problem, solution.nodes.pull, tendon_displacement(problem, solution.nodes))
     return Balance(problem, solution, path, travel, jnp.ones_like(solution.residual))

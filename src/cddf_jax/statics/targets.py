@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from ..mechanics.friction import PerTendon, unspent
+from ..mechanics.march import finished
 from ..mechanics.problem import (
     Number,
     Problem,
@@ -61,10 +62,10 @@ class TipPosition(eqx.Module):
     minimum_tension: Any = eqx.field(default=0.0, converter=as_number)
     maximum_tension: Any = eqx.field(default=None, converter=lambda x: None if x is None else as_number(x))
 
-    def misses(self, setup: Setup, _: Problem, solution: Solution) -> Float[Array, " components"]:
+    def misses(self, setup: Setup, problem: Problem, solution: Solution) -> Float[Array, " components"]:
         """The tip's position less the wanted one, over the length."""
-        assert solution.tip.position is not None
-        return (solution.tip.position - self.value) / jnp.asarray(setup.manipulator.length)
+        position = finished(problem, solution).tip.position
+        return (position - self.value) / jnp.asarray(setup.manipulator.length)
 
     def limits(self, scale: Number, like: PerTendon) -> tuple[PerTendon, PerTendon]:
         """The least and the most tension of each tendon, over a scale."""
@@ -104,7 +105,7 @@ class TipAngle(eqx.Module):
     value: Scalar = eqx.field(converter=as_number)
 
     def reading(self, setup: Setup, problem: Problem, solution: Solution, tendon: int) -> Number:
-        return problem.geometry.tip_angle(solution.tip.heading)
+        return problem.geometry.tip_angle(finished(problem, solution).tip.heading)
 
     def size(self, setup: Setup) -> Number:
         return jnp.ones_like(jnp.asarray(setup.manipulator.length))
@@ -175,7 +176,7 @@ class TipStiffness(eqx.Module):
         def tip(force, moment):
             there = eqx.tree_at(lambda problem: problem.base_moment, with_tip_force(problem, force), moment)
             solution = setup.method(there)
-            return solution.tip.position, missing_moment(there, solution)
+            return finished(there, solution).tip.position, missing_moment(there, solution)
 
         def by(force, moment):
             return jax.jvp(tip, (problem.outboard.tip, problem.base_moment), (force, moment))[1]
