@@ -54,7 +54,7 @@ def equilibrate(setup: Setup) -> Balance:
     return balance(setup, settle(without_derivative(setup)))
 
 
-class Balanced(NamedTuple):
+class SystemValues(NamedTuple):
     """What an equilibrium consists of: the fixed point of a `System`."""
 
     nodal: Nodal | None  # None without loads, as the states
@@ -75,12 +75,12 @@ class System(eqx.Module):
     unknown: tuple[int, ...] = eqx.field(static=True)
 
     @property
-    def found(self) -> Balanced:
+    def found(self) -> SystemValues:
         """What the search found."""
         settled, tension = self.settled, self.problem.base_tension
         moment = [] if settled.nodal is None else [jnp.atleast_1d(settled.load_path.base_moment)]
         unknowns = jnp.concatenate([*[tension[i, None] for i in self.unknown], *moment, tension[:0]])
-        return Balanced(settled.nodal, settled.states, unknowns)
+        return SystemValues(settled.nodal, settled.states, unknowns)
 
     def at(self, unknowns: Unknowns) -> Problem:
         """The problem with some values of the unknowns."""
@@ -93,13 +93,13 @@ class System(eqx.Module):
             problem = eqx.tree_at(lambda problem: problem.base_moment, problem, moment)
         return eqx.tree_at(lambda problem: problem.base_tension, problem, tension)
 
-    def __call__(self, last: Balanced) -> Balanced:
+    def __call__(self, last: SystemValues) -> SystemValues:
         """One iteration. Where nothing was found it is the constant `found`, which has zero derivatives."""
         (better, residual), (_, solution) = self.improved(last.nodal, last.unknowns)
         slopes, good = self.settled.slopes, self.settled.load_path.converged
         step = -solve_small(slopes.residual.T, residual)[0]
         states = None if last.states is None else solution.states
-        new = Balanced(slopes.moved(better, step), states, last.unknowns + step)
+        new = SystemValues(slopes.moved(better, step), states, last.unknowns + step)
         return jax.tree.map(lambda x, old: jnp.where(good, x, jax.lax.stop_gradient(old)), new, self.found)
 
     def improved(
@@ -144,14 +144,14 @@ def balance(
         equations: the residuals of the targets that are zero at these tensions, one for each; a pytree, see `implicit`.
     """
     system = System(setup.method, place(setup, settled), settled, equations, unknown)
-    found, balanced = settled.load_path, system.found
-    if balanced.unknowns.size:
-        balanced = implicit(system, balanced)
-    problem = system.at(balanced.unknowns)
-    if balanced.states is None:
+    found, values = settled.load_path, system.found
+    if values.unknowns.size:
+        values = implicit(system, values)
+    problem = system.at(values.unknowns)
+    if values.states is None:
         return _without_loads(problem, setup.method(problem), found)
     ended = settled.num_iterations, settled.change, found.resolved, settled.locked, settled.missed
-    solution = finished(problem, Solution(balanced.states, *ended))
+    solution = finished(problem, Solution(values.states, *ended))
     grown = jnp.where(found.converged, settled.error_amplification, 1.0)
     return Balance(problem, solution, found, settled.travel, grown)
 

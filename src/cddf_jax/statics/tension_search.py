@@ -84,7 +84,7 @@ class _Aim(NamedTuple):
         """Components of the moment at the base that have to be found."""
         return 0 if self.setup.rough is None else self.setup.problem.base_moment.size
 
-    def balanced(self, setup: Setup, best: _TensionTrial, misses: Equations, rule: Rule) -> Balance:
+    def equilibrium(self, setup: Setup, best: _TensionTrial, misses: Equations, rule: Rule) -> Balance:
         """The equilibrium at the tensions that were found, which follow a rule.
 
         Args:
@@ -148,7 +148,7 @@ def reach(setup: Setup, targets: Targets) -> tuple[Balance, Found]:
     miss = jnp.zeros_like(setup.problem.base_tension).at[jnp.asarray(aim.unknown)].set(best.residual * sizes)
     found = Found(miss, reached, jnp.any(slack), determined)
     rule = Partial(_unless_missed, reached & determined & ~slack, best.tension)
-    return aim.balanced(setup, best, Partial(_misses, setup, wanted), rule), found
+    return aim.equilibrium(setup, best, Partial(_misses, setup, wanted), rule), found
 
 
 def _is_reached(aim: _Aim, best: _TensionTrial, slack: Flags) -> tuple[Bool[Array, ""], Bool[Array, ""]]:
@@ -320,7 +320,7 @@ def _reach_place(setup: Setup, target: TipPosition) -> tuple[Balance, Found]:
     follow = jnp.where(found.reached, jnp.linalg.pinv(jacobian * inside, rtol=_same_effect(scale)), 0.0)
     moves = jnp.eye(given.size, dtype=given.dtype) - follow @ jacobian
     rule = Partial(_between_limits, *target.limits(scale, given), best.tension, follow, moves)
-    return aim.balanced(setup, best, Partial(TipPosition.misses, target, setup), rule), found
+    return aim.equilibrium(setup, best, Partial(TipPosition.misses, target, setup), rule), found
 
 
 def _found_near_place(
