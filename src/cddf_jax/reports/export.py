@@ -24,7 +24,7 @@ from ..numerics.given_numbers import check_numbers
 from ..quantities import QUANTITIES
 from ..statics.equilibrium import Equilibrium
 from ..statics.equilibrium_text import result_in_words
-from ..sweeping.one_solve import AXES, COMPONENTS, OUTPUTS_OF
+from ..sweeping.one_solve import AXES, OUTPUTS_OF, attributes, coordinates
 from ..units import Dimension, si_unit
 
 if TYPE_CHECKING:
@@ -58,24 +58,16 @@ def as_dataset(equilibrium: Equilibrium, arc_length: ArrayLike | Sequence[float]
         raise InputError("as_dataset: needs an equilibrium, got a history; `as_frame` tables its steps")
     s = _stations(equilibrium, arc_length)
     fields = evaluated(Equilibrium.at, equilibrium, s)
-    data, components = {}, len(equilibrium.tip_position)
-    for name, own in OUTPUTS_OF[components].items():
+    data, known = {}, OUTPUTS_OF[len(equilibrium.tip_position)]
+    for name, own in known.items():
         if name == "arc_length" or (name.startswith("peak_strain") and not equilibrium.has_wall):
             continue
         values = getattr(fields, name) if "point" in own else getattr(equilibrium, name)
         dims = tuple("arc_length" if dim == "point" else dim for dim in own)
-        known = QUANTITIES[name]
-        units = {"units": known.unit} if known.unit else {}
-        data[name] = (dims, np.asarray(values), {"long_name": known.words} | units)
-    coords = {
-        "arc_length": ("arc_length", s, {"long_name": "arc length", "units": "m"}),
-        "tendon": ("tendon", np.arange(len(equilibrium.base_tension)), {"long_name": "place among the tendons"}),
-        "component": ("component", np.array(COMPONENTS[:components])),
-        "axis": ("axis", np.array(AXES)),
-    }
-    used = {dim for dims, *_ in data.values() for dim in dims}
+        data[name] = (dims, np.asarray(values), attributes(name, known))
     words = {"result": result_in_words(equilibrium) or "successful"}
-    return xarray.Dataset(data, {name: coord for name, coord in coords.items() if name in used}, words)
+    dataset = xarray.Dataset(data, {"arc_length": ("arc_length", s, attributes("arc_length", known))}, words)
+    return dataset.assign_coords(coordinates((), {}, dataset.sizes))
 
 
 def as_frame(what: Equilibrium | History | Determination | Measurements | Plan) -> "pandas.DataFrame":
