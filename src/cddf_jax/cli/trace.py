@@ -11,6 +11,7 @@ from . import options
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from ..measurements.path_file import PathFile
     from ..units import Dimension
 
 EXAMPLE = 'Example: cddf trace data/smooth_sil_940.toml --path "0 N, 75 N, 40 N, 60 N, 75 N" --out out/trace'
@@ -91,59 +92,46 @@ def read_paths(
     columns = options.read_columns(column)
     every = [read_path(text, noise, columns) for text in texts]
     for name in columns:
-        if not any(name in described for _, _, described in every):
+        if not any(name in one.described for one in every):
             raise InputError(f"--path {', '.join(texts)}: no path takes a column {name!r}; check the name")
     read = one_for_each_tendon("--path", every, count)
-    paths: list[list[float]] = [values for values, _, _ in read]
-    driven: list[Dimension] = [dimension for _, dimension, _ in read]
-    steps = max(map(len, paths))
-    paths = [values * steps if len(values) == 1 else values for values in paths]
+    steps = max(len(one.values) for one in read)
+    paths = [one.values * steps if len(one.values) == 1 else one.values for one in read]
     if any(len(values) != steps for values in paths):
-        lengths = ", ".join(str(len(values)) for values, _, _ in read)
+        lengths = ", ".join(str(len(one.values)) for one in read)
         raise InputError(
             f"--path: the tendons have {lengths} steps; give each the same number, or one value that stays"
         )
+    driven = [one.dimension for one in read]
     if count > 1 and "angle" in driven:
         raise InputError("--path: a tip angle drives one tendon alone; give tensions or displacements")
     return paths, driven
 
 
-def read_path(
-    text: str, noise: str | None = None, columns: "Mapping[str, str] | None" = None
-) -> "tuple[list[float], Dimension, set[str]]":
-    """A path as typed or in a file, SI, what it measures, and which of `columns` it has.
+def read_path(text: str, noise: str | None, columns: "Mapping[str, str]") -> "PathFile":
+    """A path as typed or in a file; where a noise is given, turns that are jitter are left out.
 
     How a file was read is noted on standard error.
     """
-    from ..measurements.path_file import read_path_file
-    from ..units import series
-
-    if text.strip().lower().endswith(TABLES):
-        found = read_path_file(text.strip(), columns)
-        options.note(f"{text.strip()}: {line}" for line in found.read_as)
-        values, driven, described = found.values, found.dimension, found.described
-        if noise is not None and driven != "force":
-            raise InputError(f"--noise {noise}: is for base tensions, and {text.strip()} has none; leave it out")
-        if noise is not None:
-            values = _steady(values, noise)
-    elif noise is not None:
-        raise InputError(f"--noise {noise}: is for a file only; leave it out, or give a file with --path")
-    else:
-        values, driven = series(text, ("force", "length", "angle"), "--path")
-        described = set()
-    return values, driven, described
-
-
-def _steady(values: list[float], noise: str) -> list[float]:
-    """Tensions of a cell without its jitter."""
     import numpy as np
 
     from ..measurements.jitter import without_jitter
-    from ..units import quantity
+    from ..measurements.path_file import PathFile, read_path_file
+    from ..units import quantity, series
 
+    if not text.strip().lower().endswith(TABLES):
+        if noise is not None:
+            raise InputError(f"--noise {noise}: is for a file only; leave it out, or give a file with --path")
+        return PathFile(*series(text, ("force", "length", "angle"), "--path"), (), set())
+    found = read_path_file(text.strip(), columns)
+    options.note(f"{text.strip()}: {line}" for line in found.read_as)
+    if noise is None:
+        return found
+    if found.dimension != "force":
+        raise InputError(f"--noise {noise}: is for base tensions, and {text.strip()} has none; leave it out")
     deviation = quantity(noise, "force", "--noise")
     if not deviation > 0:
         raise InputError(f"--noise {noise}: give a standard deviation above 0 N, or leave it out")
-    found = without_jitter(np.array(values), deviation)
-    options.note([f"{found.num_ignored} turns of the base tension are taken for jitter and left out"])
-    return np.maximum(found.tension, 0.0).tolist()
+    steady = without_jitter(np.array(found.values), deviation)
+    options.note([f"{steady.num_ignored} turns of the base tension are taken for jitter and left out"])
+    return found._replace(values=np.maximum(steady.tension, 0.0).tolist())
