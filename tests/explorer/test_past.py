@@ -150,7 +150,7 @@ def test_the_loop_is_drawn_and_taken_away(found, one):
     for plot in (tension, body):
         plot.show_loop(found)
     assert [fig.select_one({"name": "past"}).visible for fig in figures] == [True] * 3
-    np.testing.assert_allclose(tension.loops["tension"].data["value"], found.tip_tension)
+    np.testing.assert_allclose(tension.points["tension"]["loop"].data["value"], found.tip_tension)
     np.testing.assert_allclose(tension.points["angle"]["past"].data["value"], [56.053731], atol=6e-7)
     # the heading of the last piece of the axis is the tip angle, up to half a step of the grid
     (x, y) = (np.diff(body.sources["past"].data[name])[-1] for name in "xy")

@@ -36,7 +36,6 @@ MARKS: dict[str, Look] = {  # of readings, and of the model in their rows
 PAST: Look = {"line_color": PURPLE, "line_dash": [6, 3], "line_width": 2}
 NONE = np.zeros((0, 2))  # points
 NOTHING_PULLED: Columns = {name: [0.0] for name in ("base", "pull", "tension", "angle")}
-NO_POINTS: Columns = {"base": [], "value": [], "color": []}
 
 
 def tendon_look(number: int) -> Look:
@@ -55,6 +54,7 @@ def bare_figure(x_label: str, y_label: str, **options: Any) -> Plot:
         axis.major_label_text_font_size = "12px"
         axis.axis_line_color = axis.major_tick_line_color = GREY
         axis.minor_tick_line_color = None
+    made.title.text_font_style, made.title.text_font_size = "normal", "13px"
     made.outline_line_color = None
     made.grid.grid_line_color = PALE
     return made
@@ -75,7 +75,6 @@ class BodyPlot:
 
     def __init__(self, manipulator: Manipulator, arc_length: np.ndarray):
         self.figure = bare_figure("X (mm)", "Y (mm)", match_aspect=True, height=450, name="body")
-        self.figure.title.text_font_style, self.figure.title.text_font_size = "normal", "13px"
         points = {name: ColumnDataSource(_xy(NONE)) for name in ("midline", "past", "ends", "moment")}
         looks = [tendon_look(i) for i in range(manipulator.num_tendons)]
         self.style: Columns = {"color": [x["line_color"] for x in looks], "dash": [x["line_dash"] for x in looks]}
@@ -216,10 +215,10 @@ class TensionPlots:
         self.curve = ColumnDataSource(NOTHING_PULLED)
         labels = {"tension": "Tip tension (N)", "angle": "Tip angle (deg)"}
         self.points = {
-            name: {kind: ColumnDataSource(NO_POINTS) for kind in ("data", "rows", "now", "past")} for name in labels
+            name: {kind: ColumnDataSource(_points(())) for kind in ("data", "rows", "now", "past", "loop")}
+            for name in labels
         }
         self.shown: dict[str, Sequence[TableColumns]] = {"data": (), "rows": ()}
-        self.loops = {name: ColumnDataSource({"base": [0.0], "value": [0.0]}) for name in labels}
         self.figures = {
             name: bare_figure(f"{self.label} ({self.unit})", y, height=255, name=f"tip_{name}")
             for name, y in labels.items()
@@ -234,7 +233,7 @@ class TensionPlots:
     def _draw(self, fig: Plot, name: str) -> None:
         points = self.points[name]
         fig.line("base", name, source=self.curve, line_width=2, color=BLUE, legend_label="model", name="model")
-        fig.line("base", "value", source=self.loops[name], name="loop", legend_label="with its past", **PAST)
+        fig.line("base", "value", source=points["loop"], name="loop", legend_label="with its past", **PAST)
         marks = {
             **{kind: look | {"line_color": "color"} for kind, look in MARKS.items()},
             "now": {"size": 12, "marker": "diamond", "color": VERMILION, "legend_label": "now"},
@@ -290,7 +289,7 @@ class TensionPlots:
         if loop is not None:
             for name, values in (("tension", loop.tip_tension), ("angle", np.degrees(loop.tip_angle))):
                 base = self._base(loop)
-                self.loops[name].data = {"base": base, "value": values}
+                self.points[name]["loop"].data = _points([(base, values, PURPLE)])
                 self.points[name]["past"].data = _points([(base[-1:], values[-1:], BLACK)])
         for fig in self.figures.values():
             for kind in ("loop", "past"):
@@ -300,12 +299,8 @@ class TensionPlots:
         """The present state, as the sliders are set."""
         found, i = picture.equilibrium, self.tendon
         base = self._base(found)
-        now = {
-            "tension": (base, found.tip_tension, BLACK),
-            "angle": (base[i : i + 1], np.degrees([found.tip_angle]), BLACK),
-        }
-        for name, part in now.items():
-            self.points[name]["now"].data = _points([part])
+        self.points["tension"]["now"].data = _points([(base, found.tip_tension, BLACK)])
+        self.points["angle"]["now"].data = _points([(base[i : i + 1], np.degrees([found.tip_angle]), BLACK)])
 
     def show_curve(self, curve: Curve) -> None:
         """The model over the whole range of the tension that moved last."""
@@ -320,7 +315,5 @@ class TensionPlots:
 
 def _points(parts: Sequence[Points]) -> Columns:
     """The data of a source from places, values and one colour for each part."""
-    if not parts:
-        return NO_POINTS
-    base, value = (np.concatenate([np.asarray(part[i], float) for part in parts]) for i in range(2))
+    base, value = (np.concatenate([np.zeros(0), *(part[i] for part in parts)]) for i in range(2))
     return {"base": base, "value": value, "color": [color for x, _, color in parts for _ in x]}

@@ -79,7 +79,6 @@ class SpacePlot:
         self.figure = bare_figure("", "", match_aspect=True, height=450, name="body")
         self.figure.axis.visible = self.figure.grid.visible = False
         self.figure.title.text = f"drag to turn; squares of {square:g} mm"
-        self.figure.title.text_font_style, self.figure.title.text_font_size = "normal", "13px"
         self.now: list[Row] = []  # of the picture
         self.past: list[Row] = []  # the axis with its past
         self.places: dict[str, list[Row]] = {"data": [], "rows": []}
