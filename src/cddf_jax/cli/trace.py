@@ -102,7 +102,7 @@ def read_paths(
         raise InputError(
             f"--path: the tendons have {lengths} steps; give each the same number, or one value that stays"
         )
-    driven = [one.dimension for one in read]
+    driven: list[Dimension] = [one.dimension for one in read]
     if count > 1 and "angle" in driven:
         raise InputError("--path: a tip angle drives one tendon alone; give tensions or displacements")
     return paths, driven

@@ -5,7 +5,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from bokeh.core.properties import value
-from bokeh.models import Arrow, ColumnDataSource, HoverTool, LinearAxis, NormalHead, VeeHead
+from bokeh.models import Arrow, ColumnDataSource, HoverTool, NormalHead, VeeHead
 from bokeh.plotting import figure
 
 from ..figures.geometry import Body, drawn, lines_along, straight_body
@@ -46,9 +46,8 @@ def tendon_look(number: int) -> Look:
 
 def bare_figure(x_label: str, y_label: str, **options: Any) -> Plot:
     look: Look = {"tools": "", "toolbar_location": None, "sizing_mode": "stretch_width", "min_border": 4}
-    made = figure(x_axis_label=x_label, y_axis_label=y_label, **(look | options))
+    made: Plot = figure(x_axis_label=x_label, y_axis_label=y_label, **(look | options))
     for axis in (*made.xaxis, *made.yaxis):
-        assert isinstance(axis, LinearAxis)
         axis.axis_label_text_font_style = "normal"
         axis.axis_label_text_font_size = "13px"
         axis.major_label_text_font_size = "12px"
@@ -299,7 +298,7 @@ class TensionPlots:
         """The present state, as the sliders are set."""
         found, i = picture.equilibrium, self.tendon
         base = self._base(found)
-        self.points["tension"]["now"].data = _points([(base, found.tip_tension, BLACK)])
+        self.points["tension"]["now"].data = _points([(base, np.asarray(found.tip_tension), BLACK)])
         self.points["angle"]["now"].data = _points([(base[i : i + 1], np.degrees([found.tip_angle]), BLACK)])
 
     def show_curve(self, curve: Curve) -> None:
