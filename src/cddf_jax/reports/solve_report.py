@@ -9,7 +9,7 @@ from .. import figures
 from ..files.manipulator_file import RobotFile
 from ..files.writing import picked
 from ..quantities import dimension_of
-from ..robot.loads import Loads, loads_as_dict, point_in_words
+from ..robot.loads import Loads, gravity_in_words, loads_as_dict, point_in_words
 from ..statics.contact import self_contact
 from ..statics.equilibrium import Equilibrium
 from ..statics.equilibrium_text import last_lines, strain_line, tendon_lines, tip_line
@@ -79,23 +79,20 @@ def solve_in_words(equilibrium: Equilibrium, actuation: Entries, texts: Sequence
 
 def _loads_in_words(loads: Loads, equilibrium: Equilibrium) -> list[str]:
     loads = loads.with_components(len(equilibrium.tip_position))
-    force, gravity = (_numbers(vector) for vector in (loads.tip_force, loads.gravity))
+    force, moment, at_base = map(_components, (loads.tip_force, loads.tip_moment, equilibrium.base_moment))
     steps = int(equilibrium.num_load_steps)
     return [
-        f"loads: tip force {force} N, tip moment {_moment(loads.tip_moment)}, gravity {gravity} m/s^2; "
+        f"loads: tip force {force} N, tip moment {moment} N m, {gravity_in_words(loads.gravity)}; "
         f"put on in {steps} step{'s' if steps > 1 else ''}",
         *map(point_in_words, loads.points),
-        f"moment of the loads at the base: {_moment(equilibrium.base_moment)}",
+        f"moment of the loads at the base: {at_base} N m",
     ]
 
 
-def _numbers(vector: ArrayLike) -> str:
-    return f"({', '.join(f'{x:.5g}' for x in np.asarray(vector))})"
-
-
-def _moment(moment: ArrayLike) -> str:
-    """A number in the plane, three in space."""
-    return f"{_numbers(moment)} N m" if np.ndim(moment) else shown(float(np.asarray(moment)), "moment")
+def _components(load: ArrayLike) -> str:
+    """ "(0, -1)"; a moment in the plane has one and no brackets."""
+    numbers = ", ".join(f"{x:.5g}" for x in np.atleast_1d(load))
+    return f"({numbers})" if np.ndim(load) else numbers
 
 
 def missed_targets_in_words(equilibrium: Equilibrium, actuation: Entries, texts: Sequence[str]) -> str:

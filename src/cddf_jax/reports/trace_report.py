@@ -1,6 +1,6 @@
 """The answer of `cddf trace`."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -26,12 +26,7 @@ from .report import Content, Report
 FINE = 256  # steps, at least, so that loops are smooth, and one program serves most paths
 FINE_IN_STEPS = 64  # the same in space, and with several tendons or loads
 SEEN = 1e-5  # of the work: a larger difference from the sum of its parts is reported
-# by the dimension of a path, what `trace` takes
-TARGETS: dict[Dimension, Callable[[np.ndarray], np.ndarray | Displacement | TipAngle]] = {
-    "force": lambda values: values,
-    "length": Displacement,
-    "angle": TipAngle,
-}
+TARGETS = {"length": Displacement, "angle": TipAngle}  # by the dimension of a path, unless it is one of tensions
 
 
 class TracedPath(NamedTuple):
@@ -78,7 +73,8 @@ def traced(
     fine = FINE if len(paths) == 1 and loads is None and not manipulator.in_space else FINE_IN_STEPS
     values, steps = _with_points_between(np.array(paths).T, start, fine)
     with stage("tracing"):
-        given = values if by_tension else [TARGETS[kind](x) for x, kind in zip(values.T, driven, strict=True)]
+        pairs = zip(values.T, driven, strict=True)
+        given = values if by_tension else [TARGETS[kind](x) if kind in TARGETS else x for x, kind in pairs]
         follow = partial(trace, nodes=nodes, short_steps=short_steps, throw=False)
         history = follow(manipulator, given, loads, before=past)
         _check(history, steps, values, driven)
