@@ -249,15 +249,6 @@ def test_names_of_columns():
     assert refused(read_data, [], ["wrap_angle"]).startswith("--column 'wrap_angle': write for example ")
 
 
-def test_averaged_holds(tmp_path):
-    """By hand, the means of two holds."""
-    path = tmp_path / "bench.csv"
-    path.write_text("base_tension [N], tip_tension [N]\n5, 4.7\n5, 4.9\n10, 9.2\n")
-    (plain,), (means,) = read_data([path], None), read_data([path], None, holds_averaged=True)
-    assert plain["tip_tension"].tolist() == [4.7, 4.9, 9.2]
-    assert means["tip_tension"].tolist() == pytest.approx([4.8, 9.2])
-
-
 def test_what_was_before():
     assert read_before(None) == "rest"
     assert read_before("75 N") == 75.0
