@@ -107,7 +107,7 @@ def test_tables_were_measured_under_the_gravity_of_the_file(monkeypatch):
 
 @pytest.mark.slow
 def test_the_picture_of_two_tendons_is_that_of_the_table():
-    """docs/space.md, tendons at 0 and 90 degrees, 40 and 20 N; 10 digits."""
+    """Tendons at 0 and 90 degrees, 40 and 20 N; 10 digits of two derivations and codes apart from this one."""
     table = Measurements.from_columns(
         "tips",
         **{"base_tension": [40.0], "base_tension_2": [20.0], "tip_x": [0.13], "tip_y": [0.036], "tip_z": [0.018]},
@@ -146,7 +146,7 @@ def test_the_picture_of_two_tendons_is_that_of_the_table():
 
 @pytest.mark.slow
 def test_a_force_out_of_the_plane_is_that_of_the_table():
-    """docs/space.md, one tendon at 40 N and 0.5 N along z at the tip."""
+    """One tendon at 40 N and 0.5 N along z at the tip; from two derivations and codes apart from this one."""
     explored = Exploration(turned(0.0))
     numbers = {**explored.start.numbers, "base_tension_1": 40.0, "tip_force.2": 0.5}
     case = explored.case(explored.start._replace(numbers=numbers))
