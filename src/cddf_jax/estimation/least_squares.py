@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import jax
+import jax.flatten_util
 import numpy as np
 from jaxtyping import PyTree
 
@@ -16,7 +17,7 @@ from .determination import Determination, determine
 from .evidence import Evidence
 from .levenberg_marquardt import MAX_STEPS, Minimum
 from .observations import Noise, Observed, effects_of, group_observations
-from .parameter_space import Bounds, Prior, Priors, Structure, bounds_of, names_of, parameter_space, priors_of
+from .parameter_space import Bounds, Prior, Priors, bounds_of, names_of, parameter_space, priors_of
 from .profile_likelihood import Profile, profile_likelihood
 from .remarks import remarks_on_parameters, remarks_on_residuals
 from .residuals import NO_ERRORS, Data, InputErrors, LeastSquaresProblem, Shared
@@ -184,9 +185,8 @@ def least_squares_fit(
     if starts is not None and (isinstance(starts, bool) or not isinstance(starts, int) or starts < 1):
         raise InputError(f"starts must be a whole number of 1 or more, got {starts!r}")
     check_numbers("start", jax.tree.leaves(start))
-    leaves = [np.asarray(leaf, float) for leaf in jax.tree.leaves(start)]
-    unravel = Structure(jax.tree.structure(start), tuple(leaf.shape for leaf in leaves))
-    names, first = names_of(start), np.concatenate([leaf.ravel() for leaf in leaves])
+    flat, unravel = jax.flatten_util.ravel_pytree(jax.tree.map(lambda leaf: np.asarray(leaf, float), start))
+    names, first = names_of(start), np.asarray(flat)
     groups = group_observations(observed, sigma)
     prior = priors_of(names, priors or {})
     limits = bounds_of(names, first, bounds or {})
@@ -246,7 +246,7 @@ def _conclude(groups: Sequence[Observed], structure: PyTree, ending: Ending) -> 
         restarted=ending.restarted,
         success=ending.success,
         result=ending.result,
-        parameters=problem.unravel(outcome.parameters),
+        parameters=jax.tree.map(np.asarray, problem.unravel(outcome.parameters)),
         evidence=ending.evidence,
         minimum=ending.minimum,
     )

@@ -106,7 +106,7 @@ def estimate_noise(
     given = tuple(map(np.asarray, problem.data.noise))
     if not np.all(np.isfinite(outcome.residual)):
         return given, problem.shared
-    effects = effects_of(inputs, groups, problem.unravel(outcome.parameters))
+    effects = effects_of(inputs, groups, jax.tree.map(np.asarray, problem.unravel(outcome.parameters)))
     linear = _Linear(groups, problem, outcome, effects, inputs)
     free = [name for name, sigma in inputs.sigma.items() if sigma is None]
     none = {name: sigma or 0.0 for name, sigma in inputs.sigma.items()}

@@ -2,9 +2,7 @@
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
-from itertools import accumulate
-from math import prod
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -29,20 +27,6 @@ class Prior(NamedTuple):
 
 
 Priors = Mapping[str, Prior | tuple[float, float]]  # by parameter
-
-
-@dataclass(frozen=True)
-class Structure:
-    """The structure of the parameters. Equal structures compare equal, so that jit uses its program again."""
-
-    tree: Any  # of `jax.tree.structure`
-    shapes: tuple[tuple[int, ...], ...]
-
-    def __call__(self, numbers: Numbers) -> PyTree:
-        """The structure with these numbers, (n,), in it."""
-        ends = accumulate(map(prod, self.shapes))
-        parts = [numbers[end - prod(s) : end].reshape(s) for s, end in zip(self.shapes, ends, strict=True)]
-        return jax.tree.unflatten(self.tree, parts)
 
 
 def names_of(start: PyTree) -> tuple[str, ...]:

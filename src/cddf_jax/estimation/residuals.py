@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float, PyTree
 
 from ..errors import InputError
-from .parameter_space import Numbers, ParameterSpace, Prior, Structure
+from .parameter_space import Numbers, ParameterSpace, Prior
 
 
 class InputErrors(NamedTuple):
@@ -95,7 +95,7 @@ class LeastSquaresProblem:
     """A model, its data, and what is known of its parameters."""
 
     predict: Callable[[PyTree], PyTree]
-    unravel: Structure = field(metadata={"static": True})
+    unravel: Callable[[Any], PyTree] = field(metadata={"static": True})  # of `ravel_pytree`: equal ones share programs
     groups: tuple[str, ...] = field(metadata={"static": True})  # of the data
     data: Data
     shared: Shared  # errors of inputs in the data
