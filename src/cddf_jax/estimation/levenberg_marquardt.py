@@ -168,16 +168,16 @@ def minimise(
     `held` are values at which parameters are held, NaN for those that are free. It is looked at after each step,
     so that progress can be shown, and it can be interrupted. It ends early where the cost is clearly above `closing`.
     """
-    watch, reach, steps, known = WATCHED.get() or Watch(), np.array([1.0, SHORTER]), 0, None
+    watch, reach, steps = WATCHED.get() or Watch(), np.array([1.0, SHORTER]), 0
     costs: list[float] = []
+    rows = problem.num_data + len(problem.data.prior)
+    known = _Known(np.zeros(rows), np.zeros((rows, len(z))), np.asarray(False))
     at = np.full(len(z), np.nan) if held is None else held
     with stage("step 1") as here:
         while True:
-            step = known is not None or np.isinf(closing)  # or else a look at the first place, which may do
-            *found, known, reach, ended = _descend(
-                problem, z, at, known or _nothing_known(problem, z), reach, np.asarray(int(step)), TOLERANCE
-            )
-            outcome = _outcome(found)
+            step = bool(costs) or np.isinf(closing)  # or else a look at the first place, which may do
+            *found, known, reach, ended = _descend(problem, z, at, known, reach, np.asarray(int(step)), TOLERANCE)
+            outcome = Outcome(*map(np.asarray, found))
             first, steps, z = steps == 0, steps + int(outcome.num_steps), outcome.z
             minimum = Minimum(problem, outcome._replace(num_steps=np.asarray(steps)))
             watch.saw(minimum, first=first, free=held is None)
@@ -198,17 +198,8 @@ def _has_stalled(costs: Sequence[float], noteworthy: float) -> bool:
 def evaluate(problem: LeastSquaresProblem, z: np.ndarray) -> Outcome:
     """Cost, residuals and derivatives at z, as if a search had ended there."""
     free = np.full(len(z), np.nan)
-    return _outcome((*_at(problem, z, free, _residual_and_slope(problem, free, z)), 0, True))
-
-
-def _outcome(found: Sequence[ArrayLike]) -> Outcome:
-    """An outcome from the arrays of a program."""
+    found = *_at(problem, z, free, _residual_and_slope(problem, free, z)), 0, True
     return Outcome(*map(np.asarray, found))
-
-
-def _nothing_known(problem: LeastSquaresProblem, z: Float[Numbers, " n"]) -> "_Known":
-    rows = problem.num_data + len(problem.data.prior)
-    return _Known(np.zeros(rows), np.zeros((rows, len(z))), np.asarray(False))
 
 
 # --- the steps, by optimistix --------------------------------------------------------------------
