@@ -13,7 +13,6 @@ from .markers import marker_column
 from .order import ORDER
 from .readings import NAMED, kind_of, set_by
 
-_WITHOUT_UNIT = ("trial", "direction", "step")
 COLUMNS = (
     *("trial", *ORDER, "direction", "base_tension", *NAMED, "tip_force_x", "tip_force_y", "tip_force_z"),
     *("wrap_angle", "weight", "pulling_tension"),
@@ -28,20 +27,12 @@ _SPELLINGS = {
     "ttip": "tip_tension",
     "tensiontip": "tip_tension",
     "angletip": "tip_angle",
-    "xtip": "tip_x",
-    "ytip": "tip_y",
-    "ztip": "tip_z",
-    "ftipx": "tip_force_x",
-    "ftipy": "tip_force_y",
-    "ftipz": "tip_force_z",
-    "trialno": "trial",
-    "trialnr": "trial",
-    "trialnumber": "trial",
     "trialid": "trial",
-    "stepno": "step",
-    "stepnr": "step",
-    "stepnumber": "step",
-} | {name.replace("_", ""): name for name in COLUMNS}
+    **{f"{axis}tip": f"tip_{axis}" for axis in "xyz"},
+    **{f"ftip{axis}": f"tip_force_{axis}" for axis in "xyz"},
+    **{f"{name}{end}": name for name in ("trial", "step") for end in ("no", "nr", "number")},
+    **{name.replace("_", ""): name for name in COLUMNS},
+}
 _LIKENESS = 0.85  # of a name to a known one, above which it counts as misspelt
 
 _IN = ("loading", "load", "pulling", "pull", "in", "up", "+")
@@ -103,7 +94,7 @@ def column_dimension(column: str) -> Dimension | None:
         remedy = f"did you mean {close[0]}? Known are" if close else "known are"
         more = [f"{name}_2" for name in PER_TENDON]
         raise InputError(f"unknown column {short(column)}; {remedy} {', '.join([*COLUMNS, *more])}, ...")
-    dimension = None if column in _WITHOUT_UNIT else QUANTITIES[column].dimension
+    dimension = QUANTITIES[column].dimension
     return None if dimension == "dimensionless" else dimension
 
 
@@ -115,8 +106,3 @@ def may_be_read(column: str) -> bool:
 def is_reading(column: str, columns: Collection[str]) -> bool:
     """Whether a column of a table was read. What was set is needed in every row, as a displacement that pulls."""
     return may_be_read(column) and column not in set_by(columns)
-
-
-def is_direction(column: str) -> bool:
-    """Whether a column holds directions, `direction` of tendon 1 or `direction_2`, ... of another."""
-    return column.startswith("direction")

@@ -68,7 +68,6 @@ from .columns import (
     column_dimension,
     column_meant,
     column_resembled,
-    is_direction,
     is_reading,
     may_be_read,
 )
@@ -270,7 +269,7 @@ _KIND = Kind(
     "base_tension [N], tip_tension [N]",
     labels=("trial",),
     gaps=lambda column: may_be_read(column) or column.startswith("base_tension"),
-    words=lambda column: DIRECTIONS if is_direction(column) else {},
+    words=lambda column: DIRECTIONS if column.startswith("direction") else {},
 )
 
 
@@ -392,7 +391,7 @@ def _check_values(column: str, values: np.ndarray, rows: np.ndarray, table: Mapp
     other = table.get(column.replace("base_tension", "displacement"), np.full(len(values), np.nan))
     may_miss = is_reading(column, table) or (column.startswith("base_tension") & np.isfinite(other))
     demand(np.isfinite(values) | (np.isnan(values) & may_miss), "must be finite", "give a number or remove the row")
-    if is_direction(column):
+    if column.startswith("direction"):
         demand(np.abs(values) == 1, "must be 1 or -1", "write 1 where the tendon slides in, -1 where it slides out")
     if column.startswith("tip_axis"):
         demand(~(np.abs(values) > _LONGEST_AXIS), "must be from -1 to 1", "give the parts of a direction of length 1")
