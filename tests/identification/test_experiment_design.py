@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bodies import paper_body, three_tendon_tube
-from test_fit import MU, E, closed_form, wrap
+from test_displacement import robot
+from test_fit import COMPLIANCE, MU, RATIO, E, closed_form, wrap
 
 import cddf_jax as cddf
 from cddf_jax.errors import InputError
@@ -13,8 +14,6 @@ from cddf_jax.identification.experiment_design import BEFOREHAND, Candidate
 from cddf_jax.measurements.table import Measurements
 
 LEVELS = 85.0 * np.arange(1, 7) / 6
-RATIO = "friction_coefficient / youngs_modulus"
-COMPLIANCE = 2.942783188998e4  # G(L) of the paper's body, m^-2, docs/theory.md (16)
 TENSIONS = Candidate("tensions", {"base_tension": LEVELS}, {"tip_tension": 1.0})
 PULLEY = Candidate("pulley", {"wrap_angle": [1.0, 2.0, 3.0], "weight": 10.0}, {"pulling_tension": 0.5})
 ANGLES = Candidate("angles", {"base_tension": LEVELS}, {"tip_angle": np.radians(1.0)})
@@ -177,14 +176,7 @@ def test_a_candidate_that_reads_nothing():
 @pytest.mark.slow
 def test_what_separates_modulus_and_compliance_of_a_driven_bench():
     """E C alone decides the shape, docs/how_to/displacement.md; newtons come by a cell at the tip or a weight there."""
-    body = cddf.Manipulator(
-        length=0.14,
-        outer_radius=0.012,
-        inner_radius=0.007,
-        youngs_modulus=1.4e6,
-        friction_coefficient=0.3,
-        tendons=[cddf.Tendon(0.009, outside_compliance=2e-5)],
-    )
+    body = robot()
     free = ["friction_coefficient", "youngs_modulus", "outside_compliance"]
     found = cddf.plan(body, cddf.standard_candidates(body, 20.0, displacement=10e-3), free, num=1)
     expected = {ranked.candidate.name: ranked.expected for ranked in found.ranking}

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from refusals import refused
+from test_displacement import ALL, ANGLE, LOOP, robot
 
 import cddf_jax as cddf
 from cddf_jax.history.path import given_path
@@ -12,22 +13,8 @@ from cddf_jax.history.stepped import Following, stepped_history
 from cddf_jax.measurements.holds import holds_of
 from cddf_jax.measurements.left_out import without
 
-D, LENGTH, COMPLIANCE = 0.009, 0.14, 2e-5  # m, m, m/N
-LOOP = 1e-3 * np.array([0, 2, 4, 6, 8, 10, 8, 6, 4, 2, 4, 6, 8, 10, 12, 10, 8, 6, 4, 2, 0.5])  # m
 BY_TENSION = np.isin(np.arange(LOOP.size), [2, 3, 4, 8, 9, 13, 16])
-OFFSET, ANGLE, CELL = 1e-3, 2e-4, 0.02  # m; noise, rad and N
-ALL = ["friction_coefficient", "youngs_modulus", "outside_compliance", "slack_offset"]
-
-
-def robot(modulus=1.4e6, mu=0.3, compliance=COMPLIANCE, tendons=1):
-    return cddf.Manipulator(
-        length=LENGTH,
-        outer_radius=0.012,
-        inner_radius=0.007,
-        tendons=[cddf.Tendon(D, side, outside_compliance=compliance) for side in (1, -1)[:tendons]],
-        youngs_modulus=modulus,
-        friction_coefficient=mu,
-    )
+OFFSET, CELL = 1e-3, 0.02  # m; noise, N
 
 
 def table(**more):
