@@ -155,13 +155,8 @@ class Bench(eqx.Module):
         if not free or self.actuation.shape[1] > 1:
             return False
         if self.course is not None:
-            return not self.course.turns and not self.is_driven
+            return not self.course.turns and not any(self.course.by_length)
         return not any(np.any(np.asarray(stated) < 0) for stated in self.direction if stated is not None)
-
-    @property
-    def is_driven(self) -> bool:
-        """Whether displacements set any tendon."""
-        return self.course is not None and any(self.course.by_length)
 
     @property
     def by_length(self) -> np.ndarray:

@@ -143,12 +143,6 @@ def over_noise(fit: LeastSquaresFit, numbers: Mapping[str, np.ndarray]) -> np.nd
     return np.asarray(problem.shared.whitened(np.concatenate(own)))
 
 
-def noise_of_readings(fit: LeastSquaresFit, group: Group) -> np.ndarray:
-    """(readings,), the standard deviations of the noise."""
-    problem = fit.minimum.problem
-    return np.ravel(problem.data.noise[problem.groups.index(group.label)])
-
-
 class TipMisfit(NamedTuple):
     """Root mean squares of the distance between read and predicted places of the tip, m."""
 

@@ -20,7 +20,7 @@ from ..measurements.table import Measurements
 from ..quantities import dimension_of
 from ..units import shown
 from .bench import BenchModel, benches_of, groups_of
-from .course import course_of, paths_of
+from .course import course_of, is_driven_by_length, paths_of
 from .parameters import MOTORS, TRIALS, along_a_path, parameter_named
 from .predictions import over_noise
 
@@ -81,7 +81,7 @@ def rivals_of(
         tables, model: its data and its bench.
         options: `noise`, `history` and `short_steps` as they were given to `fit`.
     """
-    driven = [own for own in benches_of(tables, model) if own[2].is_driven]
+    driven = [own for own in benches_of(tables, model) if is_driven_by_length(own[1])]
     turns = any(one.course is not None and one.course.turns for _, _, one in driven)
     if not fit.success or fit.status.get(FRICTION) != IDENTIFIED or not turns:
         return []

@@ -23,7 +23,6 @@ from ..units import preferred, shown
 from .bench import BenchModel, Group, benches_of
 from .course import is_driven_by_length
 from .parameters import TRIALS, Parameters, parameter_named, unit_of
-from .predictions import noise_of_readings
 from .random_effects import many_levels
 from .tension_before import is_past
 
@@ -41,14 +40,8 @@ SEPARATE = {  # of a bench driven by displacement: measurements, and the paramet
     "a loop of another amplitude": {"backlash", "slack_offset"},
     "a loop of another speed": {"lag"},
 }
-OUTSIDE = {  # statuses of rows without a solution, by their names in messages
-    "not physical": Status.unphysical,
-    "locked": Status.locked,
-    "not converged": Status.not_converged,
-    "load limit": Status.load_limit,
-    "crossing": Status.crossing,
-    "unstable": Status.unstable,
-}
+# statuses of rows without a solution
+OUTSIDE = Status.unphysical, Status.locked, Status.not_converged, Status.load_limit, Status.crossing, Status.unstable
 
 
 class SolveResults(NamedTuple):
@@ -83,10 +76,10 @@ def solve_results(
 def doubt(ends: Sequence[SolveResults]) -> str:
     """Why the rows of the tables cannot determine parameters; "" where they can."""
     for solves in ends:
-        outside, count = solves.ended(*OUTSIDE.values()), np.count_nonzero(solves.read)
+        outside, count = solves.ended(*OUTSIDE), np.count_nonzero(solves.read)
         where = rows_in_words(named_rows([solves.table], [outside]))
         if np.count_nonzero(outside) > MOST * count:
-            kinds = ", ".join(words for words, code in OUTSIDE.items() if np.any(solves.ended(code)))
+            kinds = ", ".join(code.name.replace("_", " ") for code in OUTSIDE if np.any(solves.ended(code)))
             return (
                 f"most rows of {solves.name} have no solution in the model ({np.count_nonzero(outside)} of {count}, "
                 f"{where}: {kinds}); check the units of the table and the dimensions of the body"
@@ -208,7 +201,9 @@ def drift_of(fit: LeastSquaresFit, group: Group) -> str:
     np.maximum.at(last, course.trial, course.step)
     time = (course.step / np.maximum(last[course.trial], 1.0) - 0.5)[group.there]
     size = np.max(np.abs(group.observed), initial=1e-300)
-    columns = np.stack([time, time * group.observed / size], axis=1) / noise_of_readings(fit, group)[:, None]
+    problem = fit.minimum.problem
+    noise = np.ravel(problem.data.noise[problem.groups.index(group.label)])
+    columns = np.stack([time, time * group.observed / size], axis=1) / noise[:, None]
     chance = chance_of_more(fit.evidence, fit.standardised_residuals, group.label, columns)
     if chance >= CHANCE:
         return ""
