@@ -16,7 +16,7 @@ from ..estimation.determination import IDENTIFIED, PRIOR_ONLY
 from ..mechanics.directions import as_directions
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
-from ..robot.profiles import Scalar, as_number
+from ..robot.profiles import Scalar, as_number, as_optional_number
 from ..statics.equilibrium import Equilibrium
 from ..statics.named_numbers import Case
 from ..statics.solve import solve
@@ -55,9 +55,7 @@ class LoadCase(eqx.Module):
     )
     weight: Scalar = eqx.field(default=1.0, converter=as_number)
     name: str = eqx.field(default="", static=True)
-    loop: Float[Array | np.ndarray, "2"] | None = eqx.field(
-        default=None, converter=lambda given: None if given is None else as_number(given)
-    )
+    loop: Float[Array | np.ndarray, "2"] | None = eqx.field(default=None, converter=as_optional_number)
 
     def __check_init__(self):
         loop = self.loop

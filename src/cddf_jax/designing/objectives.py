@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..errors import InputError
-from ..robot.profiles import Scalar, as_number
+from ..robot.profiles import Scalar, as_number, as_optional_number
 from ..units import Dimension
 from .body_quantities import BodyQuantity, BodyView, OfQuantity
 
@@ -114,9 +114,7 @@ class Near(Objective):
 
     squared = True
     value: Float[Array | np.ndarray, "..."] = eqx.field(default=0.0, converter=as_number)
-    at: Float[np.ndarray | Array, " points"] | None = eqx.field(
-        default=None, converter=lambda at: None if at is None else as_number(at)
-    )
+    at: Float[np.ndarray | Array, " points"] | None = eqx.field(default=None, converter=as_optional_number)
 
     def __check_init__(self):
         if self.at is not None and (np.ndim(self.at) != 1 or not self.known.along):
@@ -152,10 +150,6 @@ def _on_elements(known: BodyQuantity, view: BodyView) -> tuple[Float[Array, "*k 
 # --- limits --------------------------------------------------------------------------------------
 
 
-def _optional(value: object) -> Array | np.ndarray | None:
-    return None if value is None else as_number(value)
-
-
 class Limit(OfQuantity):
     """A range for a quantity, everywhere along the body and for every tendon.
 
@@ -165,9 +159,9 @@ class Limit(OfQuantity):
         equal: instead of them, the value that the quantity must have.
     """
 
-    least: Scalar | None = eqx.field(default=None, converter=_optional)
-    most: Scalar | None = eqx.field(default=None, converter=_optional)
-    equal: Scalar | None = eqx.field(default=None, converter=_optional)
+    least: Scalar | None = eqx.field(default=None, converter=as_optional_number)
+    most: Scalar | None = eqx.field(default=None, converter=as_optional_number)
+    equal: Scalar | None = eqx.field(default=None, converter=as_optional_number)
 
     def __check_init__(self):
         name, known = self.name, self.known

@@ -10,12 +10,8 @@ from ..units import shown
 from .profiles import Number, as_number
 
 
-def _as_moment(value: object) -> Number:
-    return _as_vector(value) if isinstance(value, tuple | list) else as_number(value)
-
-
 def _as_vector(value: object) -> Number:
-    """Components, which may be traced one by one."""
+    """A number, or components, which may be traced one by one."""
     parts = jax.tree.leaves(value)
     return jnp.stack(parts) if len(parts) > 1 and any(isinstance(x, jax.Array) for x in parts) else as_number(value)
 
@@ -34,7 +30,7 @@ class PointLoad(eqx.Module):
 
     arc_length: Number = eqx.field(converter=as_number)
     force: Float[Number, " components"] = eqx.field(default=(0.0, 0.0), converter=_as_vector)
-    moment: Float[Number, "..."] = eqx.field(default=0.0, converter=_as_moment)
+    moment: Float[Number, "..."] = eqx.field(default=0.0, converter=_as_vector)
 
     def __check_init__(self):
         _check_components("PointLoad: force", self.force)
@@ -58,7 +54,7 @@ class Loads(eqx.Module):
     """
 
     tip_force: Float[Number, " components"] = eqx.field(default=(0.0, 0.0), converter=_as_vector)
-    tip_moment: Float[Number, "..."] = eqx.field(default=0.0, converter=_as_moment)
+    tip_moment: Float[Number, "..."] = eqx.field(default=0.0, converter=_as_vector)
     gravity: Float[Number, " components"] = eqx.field(default=(0.0, 0.0), converter=_as_vector)
     points: tuple[PointLoad, ...] = eqx.field(default=(), converter=tuple)
 

@@ -25,6 +25,7 @@ from .profiles import (
     ProfileLike,
     Scalar,
     as_number,
+    as_optional_number,
     as_profile,
     breakpoints,
     profile_in_words,
@@ -35,10 +36,6 @@ _TIMES = np.cross(np.eye(3)[None, :], np.eye(3)[:, None]).swapaxes(1, 2)  # [rho
 STRAINS = ("twist", "about y", "about z")  # parts of the curvature at rest, in words
 STIFFNESSES = ("bending_stiffness", "torsional_stiffness", "axial_stiffness", "shear_stiffness")
 Taper = ArrayLike | Sequence[ArrayLike]  # one number, or a pair (base, tip)
-
-
-def _as_optional_number(value: object) -> Any:
-    return None if value is None else as_number(value)
 
 
 def _as_optional_profile(value: ProfileLike | None) -> Profile | None:
@@ -56,7 +53,7 @@ def _as_rest_curvature(value: Any) -> Any:
 
 def _as_modulus(value: ProfileLike | None) -> Profile | Number | None:
     """A constant modulus stays a number, named "youngs_modulus"; a varying one is a profile."""
-    return _as_optional_profile(value) if callable(value) else _as_optional_number(value)
+    return _as_optional_profile(value) if callable(value) else as_optional_number(value)
 
 
 class Tendon(eqx.Module):
@@ -84,14 +81,14 @@ class Tendon(eqx.Module):
 
     offset: Profile = eqx.field(converter=as_profile)
     side: int = eqx.field(default=+1, static=True)
-    end: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
-    friction_coefficient: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
-    axial_stiffness: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
+    end: Scalar | None = eqx.field(default=None, converter=as_optional_number)
+    friction_coefficient: Scalar | None = eqx.field(default=None, converter=as_optional_number)
+    axial_stiffness: Scalar | None = eqx.field(default=None, converter=as_optional_number)
     free_length: Scalar = eqx.field(default=0.0, converter=as_number)
-    outside_compliance: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
-    outside_friction: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
-    outside_drag: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
-    drag: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
+    outside_compliance: Scalar | None = eqx.field(default=None, converter=as_optional_number)
+    outside_friction: Scalar | None = eqx.field(default=None, converter=as_optional_number)
+    outside_drag: Scalar | None = eqx.field(default=None, converter=as_optional_number)
+    drag: Scalar | None = eqx.field(default=None, converter=as_optional_number)
     angle: Profile | None = eqx.field(default=None, converter=_as_optional_profile)
 
     def __check_init__(self):
@@ -168,24 +165,24 @@ class Manipulator(eqx.Module):
     inner_radius: Profile | Any = eqx.field(default=None, converter=_as_optional_profile)
     tendons: tuple[Tendon, ...] = eqx.field(default=(), converter=tuple)
     youngs_modulus: Any = eqx.field(default=None, converter=_as_modulus)  # Scalar | Profile | None
-    friction_coefficient: Scalar = eqx.field(default=None, converter=_as_optional_number)
+    friction_coefficient: Scalar = eqx.field(default=None, converter=as_optional_number)
     density: Scalar = eqx.field(default=0.0, converter=as_number)
     kinematics: Kinematics = eqx.field(default="exact", static=True)
-    drag: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
-    yield_strain: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
+    drag: Scalar | None = eqx.field(default=None, converter=as_optional_number)
+    yield_strain: Scalar | None = eqx.field(default=None, converter=as_optional_number)
     mass_per_length: Profile | None = eqx.field(default=None, converter=_as_optional_profile)
     point_masses: tuple[PointMass, ...] = eqx.field(default=(), converter=tuple)
     bending_stiffness: Profile | None = eqx.field(default=None, converter=_as_optional_profile)
-    stiffness_factor: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
+    stiffness_factor: Scalar | None = eqx.field(default=None, converter=as_optional_number)
     poissons_ratio: Scalar = eqx.field(default=0.5, converter=as_number)
     extensible: bool = eqx.field(default=False, static=True)
     rest_curvature: tuple[Profile, Profile, Profile] | None = eqx.field(default=None, converter=_as_rest_curvature)
     torsional_stiffness: Profile | None = eqx.field(default=None, converter=_as_optional_profile)
     axial_stiffness: Profile | None = eqx.field(default=None, converter=_as_optional_profile)
     shear_stiffness: Profile | None = eqx.field(default=None, converter=_as_optional_profile)
-    axial_factor: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
-    shear_factor: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
-    friction_moment: Scalar | None = eqx.field(default=None, converter=_as_optional_number)
+    axial_factor: Scalar | None = eqx.field(default=None, converter=as_optional_number)
+    shear_factor: Scalar | None = eqx.field(default=None, converter=as_optional_number)
+    friction_moment: Scalar | None = eqx.field(default=None, converter=as_optional_number)
 
     def __check_init__(self):
         if self.kinematics not in KINEMATICS:

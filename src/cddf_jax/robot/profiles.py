@@ -6,7 +6,7 @@ solver ends its elements there.
 """
 
 from collections.abc import Callable, Sequence
-from typing import cast
+from typing import Any, cast
 
 import equinox as eqx
 import jax
@@ -33,6 +33,11 @@ def as_number(value: object) -> Number:
     """
     check_numbers("", value)
     return value if isinstance(value, jax.Array) else np.asarray(value, dtype=np.float64)
+
+
+def as_optional_number(value: object) -> Any:
+    """As `as_number`; None stays None."""
+    return None if value is None else as_number(value)
 
 
 def as_profile(value: ProfileLike) -> Profile:
