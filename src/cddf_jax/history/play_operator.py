@@ -79,18 +79,12 @@ class CongruentStates(States):
         return Energies(work, loss, self.stored_energy)
 
 
-class Before(NamedTuple):
-    """The history before the first step."""
-
-    open_tension: Float[Array, " turns"]  # N: a path that leaves the same remembered turns
-    work_and_loss: Float[Array, "2"] | None = None  # since rest, J; None for those of that path
-
-
 @partial(jax.jit, static_argnames=("nodes", "max_turns", "quantity"))
 def congruent_history(
     manipulator: Manipulator,
     wanted: Float[Array, " steps"],
-    before: Before,
+    known: Float[Array, " turns"],
+    earlier: Float[Array, "2"] | None,
     nodes: int,
     max_turns: int,
     quantity: str = "base_tension",
@@ -100,7 +94,8 @@ def congruent_history(
     Args:
         manipulator: a body with one tendon.
         wanted: values of the given quantity after each step.
-        before: the history before the first step.
+        known: base tensions before the first step, N: a path that leaves the same remembered turns.
+        earlier: work and loss before the first step, J; None for those of that path.
         nodes: Gauss nodes in each smooth piece; static.
         max_turns: how many turns can be remembered; static.
         quantity: "base_tension", N, "displacement", m, or "tip_angle", rad; static.
@@ -108,7 +103,7 @@ def congruent_history(
     # point masses have no effect without loads, and may lie beyond a front
     body = eqx.tree_at(lambda body: body.point_masses, manipulator, ())
     num_steps = wanted.shape[0]
-    given = wanted, before.open_tension, before.work_and_loss
+    given = wanted, known, earlier
     body, _, _, (wanted, known, earlier) = one_precision(body, wanted[0], jnp.ones_like(wanted[0]), given)
     path, all_turns, drive = _path(body, nodes, quantity, known, wanted, max_turns)
     fronts, tip, moving = follow(body, nodes, path, all_turns)
@@ -154,9 +149,7 @@ def _with_rest_before(states: CongruentStates) -> CongruentStates:
     """The states from rest behind as many steps of 0 N as a continued history has, so that `lax.scan` carries both."""
     turns, zero = states.turns, 0.0 * states.path[:1]
     count = turns.open.shape[1]
-    steps = jnp.arange(count)
-    none = jnp.full((count, count), NO_STEP)
-    resting = Turns(jnp.ones(count), none[0], 0 * steps, none.at[:, 0].set(steps), steps < 0)
+    resting = open_turns(jnp.zeros(count), count)[1]
 
     def later(step: Array) -> Array:
         return jnp.where(step == NO_STEP, NO_STEP, step + count)

@@ -25,7 +25,7 @@ from ..statics.status import Status, words_of
 from .grid import Goal
 from .history import GOOD, History, listed
 from .path import Driven, Path, as_numbers, given_path
-from .play_operator import Before, CongruentStates, congruent_history
+from .play_operator import CongruentStates, congruent_history
 from .stepped import ACCURACY, ELEMENTS, Following, SteppedStates, after_first, after_step, squeezed, stepped_history
 
 LEAST_MOVE = 1e-6  # of the tip by a push, over the length and in rad; steps settle to some 1e-8 of them
@@ -141,18 +141,18 @@ def _exactly(
     values = (path.goal if driven else path.tension)[:, 0]
     if manipulator.in_space and not isinstance(values, Tracer):
         check_range_in_space("trace", quantity, values)
-    past = Before(jnp.zeros(0, values.dtype) if earlier is None else earlier.astype(values.dtype))
+    past, spent = jnp.zeros(0, values.dtype) if earlier is None else earlier.astype(values.dtype), None
     if start is not None:
         assert isinstance(start._states, CongruentStates)
         energies = start.energies
-        past = Before(start._states.open_tension, jnp.stack([energies.work[-1], energies.friction_loss[-1]]))
+        past, spent = start._states.open_tension, jnp.stack([energies.work[-1], energies.friction_loss[-1]])
     known = not isinstance(earlier, Tracer) and not isinstance(values, Tracer)
     if earlier is not None and known and not driven and earlier[0] < values[0]:
         raise ValueError(
             f"trace: before must be the largest base tension up to the first step, {float(values[0]):g} N or more, "
             f"got {float(earlier[0]):g} N"
         )
-    return congruent_history(manipulator, values, past, nodes, max_turns, quantity)
+    return congruent_history(manipulator, values, past, spent, nodes, max_turns, quantity)
 
 
 def _check_same_body(manipulator: Manipulator, start: History) -> None:

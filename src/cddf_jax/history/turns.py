@@ -37,13 +37,6 @@ class Stack(NamedTuple):
     too_many: Bool[Array, ""]
 
 
-def empty_stack(max_turns: int, values: Float[Array, " steps"]) -> Stack:
-    """The stack of a tendon at rest, with precision and devices of `values`."""
-    zero = zero_as(values)
-    nothing = jnp.full(max_turns, NO_STEP)
-    return Stack(jnp.zeros(max_turns, values.dtype) + zero, nothing, jnp.zeros((), int), zero > 1)
-
-
 def go_on(stack: Stack, value: Number, step: Int[Array, ""]) -> tuple[Stack, Turns]:
     """The stack and the turns after a step to `value`. The values are those of a quantity that a pull raises."""
     max_turns = stack.step.shape[0]
@@ -80,5 +73,6 @@ def open_turns(values: Float[Array, " steps"], max_turns: int) -> tuple[Stack, T
         The stack at the end, and the turns after each step.
     """
     values = jax.lax.stop_gradient(values)
-    start, steps = empty_stack(max_turns, values), jnp.arange(values.shape[0])
-    return jax.lax.scan(lambda stack, given: go_on(stack, *given), start, (values, steps))
+    zero, steps = zero_as(values), jnp.arange(values.shape[0])
+    at_rest = Stack(jnp.full(max_turns, zero), jnp.full(max_turns, NO_STEP), jnp.zeros((), int), zero > 1)
+    return jax.lax.scan(lambda stack, given: go_on(stack, *given), at_rest, (values, steps))
