@@ -68,15 +68,28 @@ class CongruentStates(States):
         return jnp.concatenate([cut.edges[:1], cut.nodes.ravel(), cut.edges[-1:]])
 
     def fields(self, arc_length: Float[Array, " points"]) -> AnyFields:
-        return _fields(self, arc_length)
+        def branch(tension: Number, direction: Number, front: Number) -> Dense:
+            part = cut_at(self.manipulator, front)
+            return solve(part, tension, direction=direction, nodes=self.nodes, throw=False)._dense
+
+        branches = jax.vmap(branch)(self.path, self.turns.direction, self.front)
+
+        def step(open_steps: Int[Array, " turns"]) -> AnyFields:
+            return jax.vmap(partial(_fields_at, branches, _parts(branches, open_steps)))(arc_length)
+
+        return jax.vmap(step)(self.turns.open[-self.num_steps :])
 
     def sliding(self, arc_length: Float[Array, " points"]) -> Float[Array, "steps points"]:
         front, direction = (x[-self.num_steps :, None] for x in (self.front, self.turns.direction))
         return jnp.where(arc_length <= front, direction, 0.0)
 
     def energies(self) -> Energies:
-        work, loss = _work_and_loss(self)
-        return Energies(work, loss, self.stored_energy)
+        gains = work_and_loss(self.manipulator, self.nodes, self.path, self.turns)
+        if self.earlier is not None:
+            own = jnp.arange(self.path.size) >= self.path.size - self.num_steps
+            gains = jnp.where(own[:, None], gains, 0.0)
+        sums = jnp.cumsum(gains, axis=0)[-self.num_steps :] + (0.0 if self.earlier is None else self.earlier)
+        return Energies(sums[:, 0], sums[:, 1], self.stored_energy)
 
 
 @partial(jax.jit, static_argnames=("nodes", "max_turns", "quantity"))
@@ -214,17 +227,6 @@ def follow(
     return front, tips(body, own, other, turns), jnp.where(from_rest, front, moving)
 
 
-@eqx.filter_jit
-def _work_and_loss(states: CongruentStates) -> tuple[Float[Array, " steps"], Float[Array, " steps"]]:
-    """Work and friction loss since rest, J."""
-    gains = work_and_loss(states.manipulator, states.nodes, states.path, states.turns)
-    if states.earlier is not None:
-        own = jnp.arange(states.path.size) >= states.path.size - states.num_steps
-        gains = jnp.where(own[:, None], gains, 0.0)
-    sums = jnp.cumsum(gains, axis=0)[-states.num_steps :] + (0.0 if states.earlier is None else states.earlier)
-    return sums[:, 0], sums[:, 1]
-
-
 def _in_blocks(function: Callable[[Given], Found], given: Given) -> Found:
     """`jax.vmap` over blocks of steps, so that memory stays small in a batch of bodies."""
     count = jax.tree.leaves(given)[0].shape[0]
@@ -256,23 +258,6 @@ class _Body(NamedTuple):
     heading: Heading
     position: Float[Array, " components"]
     wrap_angle: Float[Array, " tendons"]
-
-
-@eqx.filter_jit
-def _fields(states: CongruentStates, arc_length: Float[Array, " points"]) -> AnyFields:
-    """The fields after each step, tendons last."""
-
-    def branch(tension: Number, direction: Number, front: Number) -> Dense:
-        part = cut_at(states.manipulator, front)
-        return solve(part, tension, direction=direction, nodes=states.nodes, throw=False)._dense
-
-    branches = jax.vmap(branch)(states.path, states.turns.direction, states.front)
-
-    def step(open_steps: Int[Array, " turns"]) -> AnyFields:
-        parts = _parts(branches, open_steps)
-        return jax.vmap(partial(_fields_at, branches, parts))(arc_length)
-
-    return jax.vmap(step)(states.turns.open[-states.num_steps :])
 
 
 def _parts(branches: Dense, open_steps: Int[Array, " turns"]) -> _Part:
