@@ -186,14 +186,12 @@ def cut_into_elements(
 def _outside(manipulator: Manipulator, count: int) -> Outside:
     """The friction before the base, for `count` elements of which it is the first."""
     here = jnp.zeros_like(jnp.asarray(manipulator.length), shape=count).at[0].set(1.0)
-    friction, drag = (
-        jnp.stack([jnp.asarray(0.0 if own is None else own) for own in every])
-        for every in (
-            [tendon.outside_friction for tendon in manipulator.tendons],
-            [tendon.outside_drag for tendon in manipulator.tendons],
-        )
-    )
-    return Outside(here, here[:, None] * friction, here[:, None] * drag)
+
+    def of_tendons(name: str) -> PerTendon:
+        own = (getattr(tendon, name) for tendon in manipulator.tendons)
+        return here[:, None] * jnp.stack([jnp.asarray(0.0 if number is None else number) for number in own])
+
+    return Outside(here, of_tendons("outside_friction"), of_tendons("outside_drag"))
 
 
 def loads_on(grid: Grid, loads: Loads) -> tuple[Float[Array, "K components"], Float[Array, "K *components"]]:

@@ -8,7 +8,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float, Int
 
 from ..errors import InputError
@@ -154,9 +153,8 @@ class History(eqx.Module):
 
 
 def history_in_words(history: History) -> str:
-    """A line for each of the last steps; for a batch or under jit the names and shapes of the fields."""
-    if isinstance(history.tip_angle, Tracer) or np.ndim(history.tip_angle) != 1:
-        return eqx.tree_pformat(history)
+    """A line for each of the last steps of one history whose numbers are known."""
+    history._check_single("words")
     steps = range(len(history.tip_angle))
     return "\n".join([*steps_in_words(history, steps), last_line(history)])
 

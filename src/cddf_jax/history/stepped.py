@@ -274,7 +274,9 @@ def stepped_history(manipulator: Manipulator, path: Path, start: SteppedStates |
 def _checked(manipulator: Manipulator, path: Path) -> tuple[Manipulator, Path, Bool[Array, " steps"]]:
     """Body and path with harmless numbers in place of unphysical ones; whether all steps so far are physical."""
     finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(manipulator)]))
-    usable = jnp.cumprod(_usable(path)) > 0  # up to the first step that is not
+    numbers = [x.reshape(x.shape[0], -1) for x in jax.tree.leaves(path._replace(resting=None))]
+    usable = jnp.all(jnp.isfinite(jnp.concatenate(numbers, axis=1)), axis=1) & jnp.all(path.tension >= 0, axis=1)
+    usable = jnp.cumprod(usable) > 0  # up to the first step that is not
     asked, ones = manipulator, jnp.ones_like(path.tension[0])
     manipulator, _, _, (path,) = harmless(manipulator, ones, ones, (path,))
     path = path._replace(tension=jnp.maximum(path.tension, 0.0))
@@ -314,13 +316,6 @@ def after_step(tip_angle: Number, status: Int[Array, ""], later: History) -> His
     """The history after a step; where that step failed, all later ones failed as it did."""
     good = jnp.isfinite(tip_angle)
     return replace(nan_unless(good, later), status=jnp.where(good, later.status, status), _states=later._states)
-
-
-def _usable(path: Path) -> Bool[Array, " steps"]:
-    """Whether the given numbers of each step are physical."""
-    numbers = [x.reshape(x.shape[0], -1) for x in jax.tree.leaves(path._replace(resting=None))]
-    finite = jnp.all(jnp.isfinite(jnp.concatenate(numbers, axis=1)), axis=1)
-    return finite & jnp.all(path.tension >= 0, axis=1)
 
 
 def _last(loads: Loads | None) -> Loads | None:
