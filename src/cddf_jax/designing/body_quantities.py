@@ -62,10 +62,6 @@ class BodyView:
             return self.solution.elements
         return elements_between(smooth_pieces(jnp.asarray(self.body.length), self.body.breakpoints), BODY_NODES)
 
-    def moved(self, arc_length: Float[Array | np.ndarray, " points"]) -> "BodyView":
-        """The same body at other arc lengths."""
-        return replace(self, arc_length=arc_length)
-
 
 class BodyQuantity(NamedTuple):
     """Something that a design can make large, small, even, near a value, or keep within limits."""
@@ -116,11 +112,6 @@ class OfQuantity(eqx.Module):
 
 
 # --- of the body alone ---------------------------------------------------------------------------
-
-
-def _wall(view: BodyView) -> Array:
-    outer, inner = view.body.radii(view.arc_length)
-    return outer - inner
 
 
 def _clearance(view: BodyView) -> Array:
@@ -207,7 +198,7 @@ BODY_QUANTITIES: dict[str, BodyQuantity] = {
         BodyQuantity("mass", _mass, bent=False),
         BodyQuantity("outer_radius", lambda v: v.body.radii(v.arc_length)[0], bent=False, along=True),
         BodyQuantity("inner_radius", lambda v: v.body.radii(v.arc_length)[1], bent=False, along=True),
-        BodyQuantity("wall_thickness", _wall, bent=False, along=True),
+        BodyQuantity("wall_thickness", lambda v: jnp.subtract(*v.body.radii(v.arc_length)), bent=False, along=True),
         BodyQuantity("clearance", _clearance, bent=False, along=True, to_anchor=True),
         BodyQuantity("taper", lambda v: -_slopes(v)[0, 0], bent=False, along=True),
         BodyQuantity("slope", _slopes, bent=False, along=True),

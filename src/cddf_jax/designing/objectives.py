@@ -1,6 +1,7 @@
 """Objectives and limits of a design."""
 
 from abc import abstractmethod
+from dataclasses import replace
 from typing import ClassVar
 
 import equinox as eqx
@@ -129,7 +130,7 @@ class Near(Objective):
                 raise InputError(f"design: {name} varies along the body; say where by Near(..., at=...)")
             found, shares = _on_elements(known, view)
             return jnp.mean(jnp.sum((found - value) ** 2 * shares, axis=-1))
-        found = known.of(view if self.at is None else view.moved(jnp.asarray(self.at)))
+        found = known.of(view if self.at is None else replace(view, arc_length=jnp.asarray(self.at)))
         if self.at is not None and value.ndim == 2 and value.shape[::-1] == found.shape:
             value = value.T  # points come last in quantities along the body
         if value.shape not in ((), found.shape):
@@ -140,7 +141,7 @@ class Near(Objective):
 def _on_elements(known: BodyQuantity, view: BodyView) -> tuple[Float[Array, "*k points"], Float[Array, "*_ points"]]:
     """A quantity at the Gauss nodes of elements in which it is smooth, and the shares of the nodes in a mean."""
     nodes, shares = view.elements.nodes.ravel(), view.elements.shares.ravel()
-    there = view.moved(nodes)
+    there = replace(view, arc_length=nodes)
     if known.to_anchor:
         shares = jnp.where(there.anchored, shares, 0.0)
         shares /= jnp.sum(shares, axis=-1, keepdims=True)

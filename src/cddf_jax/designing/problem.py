@@ -102,10 +102,7 @@ class DesignProblem(eqx.Module):
         """The body in a load case, solved."""
         body, used = self.free.applied(self.manipulator, case, z)
         body = used.body(body)
-        return BodyView(body, self._places(body), used, used.solve(body, self.nodes), self.nodes)
-
-    def _places(self, body: Manipulator) -> Float[Array, " points"]:
-        return jnp.asarray(self.stations) * jnp.asarray(body.length)
+        return BodyView(body, self.stations * jnp.asarray(body.length), used, used.solve(body, self.nodes), self.nodes)
 
     def __call__(self, x: np.ndarray) -> Point:
         """The nonlinear program at some unknowns; problems with the same structure share one compiled program."""
@@ -126,7 +123,7 @@ class DesignProblem(eqx.Module):
     def _evaluate(self, z: Vector) -> DesignEvaluation:
         """Objectives and margins at scaled free numbers; of the body alone once, else of every case."""
         body = self.body(z)
-        straight = BodyView(body, self._places(body))
+        straight = BodyView(body, self.stations * jnp.asarray(body.length))
         aims, limits = [term.objective for term in self.terms], [kept.limit for kept in self.limits]
 
         def of_case(case: LoadCase) -> DesignEvaluation:
