@@ -5,10 +5,9 @@ its curvature. Where it slides, the tension is that of `solve` with the directio
 of its remembered turns the body is therefore congruent to a part of one of these equilibria, see `congruent_parts`.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -27,7 +26,6 @@ from ..statics.solve import solve
 from ..statics.status import Status, first_of
 from .congruent_parts import (
     Heading,
-    Slid,
     Tip,
     ends_of_motion,
     pose_of_base,
@@ -44,9 +42,7 @@ from .history import Energies, History, States
 from .turns import NO_STEP, Turns, open_turns
 
 Number = Float[Array, ""]
-Given = TypeVar("Given")
-Found = TypeVar("Found")
-BLOCK = 64  # steps that are computed at a time
+BLOCK = 64  # steps that are computed at a time, so that memory stays small in a batch of bodies
 
 
 class CongruentStates(States):
@@ -217,24 +213,13 @@ def follow(
     """Front and tip after each step of a path that started at rest, and the fronts with their derivatives."""
     from_rest = turns.before == NO_STEP
     turned_at = jnp.where(from_rest, path, path[turns.before])
-
-    def step(motion: Motion) -> tuple[Number, tuple[Slid, Slid]]:
-        front, own, other = ends_of_motion(body, nodes, motion)
-        return front, (own, other)
-
-    front, (own, other) = _in_blocks(step, Motion(path, turns.direction, turned_at, from_rest))
+    count, block = path.size, min(path.size, BLOCK)
+    places = np.minimum(np.arange(-(-count // block) * block), count - 1)  # of whole blocks: one program for all
+    motions = jax.tree.map(lambda x: x[places], Motion(path, turns.direction, turned_at, from_rest))
+    found = jax.lax.map(partial(ends_of_motion, body, nodes), motions, batch_size=block)
+    front, own, other = jax.tree.map(lambda x: x[:count], found)
     moving = jax.vmap(partial(moving_front, body))(front, own.tension, other.tension, turns.direction)
     return front, tips(body, own, other, turns), jnp.where(from_rest, front, moving)
-
-
-def _in_blocks(function: Callable[[Given], Found], given: Given) -> Found:
-    """`jax.vmap` over blocks of steps, so that memory stays small in a batch of bodies."""
-    count = jax.tree.leaves(given)[0].shape[0]
-    if count <= BLOCK:
-        return jax.vmap(function)(given)
-    places = np.minimum(np.arange(-(-count // BLOCK) * BLOCK), count - 1).reshape(-1, BLOCK)
-    found = jax.lax.map(jax.vmap(function), jax.tree.map(lambda x: x[places], given))
-    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:count], found)
 
 
 # --- along the body ------------------------------------------------------------------------------
