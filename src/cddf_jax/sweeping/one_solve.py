@@ -1,7 +1,6 @@
 """The outputs of a sweep with their dimensions and units, and the function that computes them for one solve."""
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -10,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from ..errors import within
 from ..history.history import ENERGIES, History
 from ..history.trace import trace
 from ..mechanics.problem import Method
@@ -64,7 +62,6 @@ IN_SPACE: dict[str, tuple[str, ...]] = {
     "frame": ("point", "component", "axis"),
     "path": ("tendon", "point", "component"),
 }
-Coordinates = dict[str, Any]  # as xarray takes them
 OUTPUTS_OF = {2: OUTPUTS, 3: IN_SPACE}  # by the number of components of a position
 # outputs of a `History` by that number, and their dimensions besides those of the sweep
 OF_HISTORY: dict[int, dict[str, tuple[str, ...]]] = {
@@ -125,7 +122,6 @@ def coordinates(
 
 
 Numbers = Mapping[str, ArrayLike]
-Observables = tuple[tuple[str, Callable[[Equilibrium], ArrayLike]], ...]
 
 
 class OneSolve(eqx.Module):
@@ -137,7 +133,7 @@ class OneSolve(eqx.Module):
     case: Case
     path: dict[str, Float[Array, " steps"]] | None  # base tensions, N, and loads along it, by name
     outputs: tuple[str, ...] = eqx.field(static=True)
-    observables: Observables = eqx.field(static=True)
+    observables: tuple[tuple[str, Callable[[Equilibrium], ArrayLike]], ...] = eqx.field(static=True)
     sensitivities: tuple[str, ...] = eqx.field(static=True)
     nodes: int = eqx.field(static=True)
     short_steps: int = eqx.field(static=True)
@@ -189,10 +185,3 @@ def _after_each_step(history: History, name: str) -> Array:
         return getattr(history.equilibria, name)
     values = getattr(history.energies if name in ENERGIES else history, name)
     return values.reshape(len(values), -1) if dims == ("tendon",) else values
-
-
-def prepared(case: Case, kinematics: str) -> Case:
-    """The case with the given kinematics, and its numbers as JAX arrays."""
-    with within("sweep", ValueError):  # published kinematics are those of the plane
-        there = replace(case, manipulator=replace(case.manipulator, kinematics=kinematics))
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float | np.ndarray) else leaf, there)

@@ -278,9 +278,11 @@ class Sweep:
         """One solve as a function of the numbers that vary, with the options at `index` along the dimensions."""
         chosen = {name: values[index[d.name]] for d in self.dimensions for name, values in d.options.items()}
         kinematics = str(chosen.pop("kinematics", self.manipulator.kinematics))
-        case, observed = one_solve.prepared(self.case, kinematics), tuple(self.observables.items())
+        with within("sweep", ValueError):  # published kinematics are those of the plane
+            case = replace(self.case, manipulator=replace(self.manipulator, kinematics=kinematics))
+        case = jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float | np.ndarray) else leaf, case)
         path = None if self.path is None else jax.tree.map(jnp.asarray, self.path.numbers)
-        asked = self.outputs, observed, self.sensitivities
+        asked = self.outputs, tuple(self.observables.items()), self.sensitivities
         one = OneSolve(case, path, *asked, self.nodes, self.short_steps, self.method)
         return replace(one, **chosen)
 
