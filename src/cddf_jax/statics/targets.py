@@ -24,7 +24,7 @@ from ..numerics import tolerances as tol
 from ..numerics.fixed_point import solve_small
 from ..numerics.rotations import as_matrix, direction_of, length_of
 from ..robot.cross_section import SpatialSection, where_present
-from ..robot.profiles import Scalar, as_number
+from ..robot.profiles import Scalar, as_number, as_optional_number
 from .balance import missing_moment
 from .settle import Setup
 
@@ -60,7 +60,7 @@ class TipPosition(eqx.Module):
     quantity: ClassVar[str] = "tip_position"
     value: Any = eqx.field(converter=as_number)
     minimum_tension: Any = eqx.field(default=0.0, converter=as_number)
-    maximum_tension: Any = eqx.field(default=None, converter=lambda x: None if x is None else as_number(x))
+    maximum_tension: Any = eqx.field(default=None, converter=as_optional_number)
 
     def misses(self, setup: Setup, problem: Problem, solution: Solution) -> Float[Array, " components"]:
         """The tip's position less the wanted one, over the length."""
