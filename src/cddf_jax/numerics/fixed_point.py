@@ -10,7 +10,6 @@ from typing import NamedTuple, TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, PyTree
 
 from . import tolerances as tol
@@ -19,7 +18,6 @@ from .rotations import solve_three
 
 Unknowns = Float[Array, " unknowns"]
 Tree = TypeVar("Tree")
-Given = TypeVar("Given")
 Result = TypeVar("Result")
 Scalar = Float[Array, ""]
 
@@ -92,40 +90,44 @@ def _found(update, value, *, max_iterations):
 def _(primals, tangents, *, max_iterations):
     (update, value), (direction, _) = primals, tangents
     value = _found(update, value, max_iterations=max_iterations)
+    pushed, push = _linearised(update, direction, value)
+    return value, solve_by_iteration(push, pushed, max_iterations)
+
+
+def _linearised(update: Callable[[Tree], Tree], direction: PyTree, value: Tree) -> tuple[Tree, Callable[[Tree], Tree]]:
+    """The derivative of update(value) along a direction of the leaves of `update`, and by changes of the value.
+
+    The map stands in the program once. `direction` is as in `slope_along`.
+    """
     moving, rest = eqx.partition(update, jax.tree.map(lambda _, way: way is not None, update, direction))
     _, push = jax.linearize(lambda moving, value: eqx.combine(moving, rest)(value), moving, value)
-    return value, _solve_by_iteration(push, direction, value, max_iterations)
+    still, unchanged = jax.tree.map(jnp.zeros_like, (moving, value))
+    zero = 0.0 * jax.tree.leaves(direction)[0].ravel()[0]  # as in `slope_along`
+    pushed = jax.tree.map(lambda slope: slope + zero, push(direction, unchanged))
+    return pushed, jax.linearize(lambda change: push(still, change), unchanged)[1]
 
 
-def _solve_by_iteration(push: Callable[[Given, Tree], Tree], given: Given, like: Tree, max_iterations: int) -> Tree:
-    """The solution of v = push(given, v), where the iteration v <- push(given, v) settles; NaN elsewhere.
+def solve_by_iteration(push: Callable[[Tree], Tree], pushed: Tree, max_iterations: int) -> Tree:
+    """The solution of v = pushed + push(v), where the iteration v <- pushed + push(v) settles; NaN elsewhere.
 
-    The system is solved for (given, v) together, of which the first part is known. So each iteration, also that of the
-    transposed system, evaluates `push` once, and no further evaluation follows. Both stand in one array, as
-    `custom_linear_solve` transposes neither empty arrays nor constant ones beside others.
+    The known part is computed once: where it cancels, its rounding errors must not change from one iteration to the
+    next.
 
     Args:
         push: a linear function.
-        given: the known part, of which the solution is a linear function.
-        like: numbers as those of v.
+        pushed: the known part, of which the solution is a linear function.
         max_iterations: the largest number of iterations.
     """
-    start, apart = ravel_pytree((given, jax.tree.map(jnp.zeros_like, like)))
 
-    def operator(both: Array) -> Array:
-        given, v = apart(both)
-        return ravel_pytree((given, minus(v, push(given, v))))[0]
+    def solve_linear(operator: Callable[[Tree], Tree], known: Tree) -> Tree:
+        def again(v: Tree) -> Tree:
+            return jax.tree.map(lambda b, v, w: b + v - w, known, v, operator(v))
 
-    def solve_linear(operator: Callable[[Array], Array], known: Array) -> Array:
-        def again(both: Array) -> Array:
-            return known + both - operator(both)
+        return by_iteration(again, known, max_iterations)
 
-        def size(change: Array, both: Array) -> Scalar:
-            return relative_size(apart(change)[1], apart(both)[1])
-
-        return by_iteration(again, known, max_iterations, size)
-
-    return apart(jax.lax.custom_linear_solve(operator, start, solve=solve_linear, transpose_solve=solve_linear))[1]
+    return jax.lax.custom_linear_solve(
+        lambda v: minus(v, push(v)), pushed, solve=solve_linear, transpose_solve=solve_linear
+    )
 
 
 def slopes_by_unknowns(
@@ -147,15 +149,10 @@ def slopes_by_unknowns(
     return jax.vmap(by)(jnp.eye(unknowns.size, dtype=unknowns.dtype) + zero_as(unknowns, values))
 
 
-def by_iteration(
-    again: Callable[[Tree], Tree],
-    first: Tree,
-    max_iterations: int,
-    size: Callable[[Tree, Tree], Scalar] = relative_size,
-) -> Tree:
+def by_iteration(again: Callable[[Tree], Tree], first: Tree, max_iterations: int) -> Tree:
     """The values that a linear update leaves as they are; NaN where its iteration does not settle."""
     settled = round_off(jax.tree.leaves(first)[0].dtype)
-    value, change, _ = picard(_measured(again, size), first, settled, max_iterations)
+    value, change, _ = picard(_measured(again, relative_size), first, settled, max_iterations)
     return jax.tree.map(lambda x: jnp.where(change <= 1e3 * settled, x, jnp.nan), value)
 
 
