@@ -111,3 +111,17 @@ def test_derivatives_by_a_kinked_offset_against_differences():
     scale = np.max(np.abs(differences), axis=1, keepdims=True)
     np.testing.assert_allclose(forward / scale, differences / scale, atol=1e-6)  # h^2 and rounding over h
     np.testing.assert_allclose(reverse / scale, forward / scale, atol=ACCURATE)
+
+
+def test_a_modulus_that_grows_with_all_tensions_bends_no_further():
+    """Both sides of the equilibrium grow alike: r and shape stay, and the tip tension grows in proportion."""
+    pair = paper_body(num_tendons=2)
+
+    def answer(factor):
+        body = replace(pair, youngs_modulus=factor * 1.4e6)
+        found = cddf.solve(body, factor * jnp.array([58.0, 7.0]), direction=(1.0, -1.0))
+        return jnp.append(found.tip_tension, found.tip_angle)
+
+    value, *modes = both_modes(lambda factor: answer(factor[0]))(jnp.ones(1))
+    for slopes in modes:
+        np.testing.assert_allclose(slopes[:, 0], [*value[:2], 0.0], rtol=1e-12, atol=1e-12)
