@@ -5,6 +5,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from bodies import codes, paper_body, paper_plain, replaced, stack
 from jax.sharding import AxisType, PartitionSpec
 
@@ -121,6 +122,30 @@ def test_shard_map_gives_values_slopes_and_curvatures():
     a = 0.42 / 1.4e6 * paper_plain("exact").compliance(0.14)  # T / (1 + a T), docs/theory.md (16)
     np.testing.assert_allclose(sharded[2], -2 * a / (1 + a * LADDER) ** 3, rtol=1e-7)
     assert len(sharded[0].sharding.device_set) == 4
+
+
+@pytest.mark.parametrize(
+    "target",
+    [
+        lambda x: cddf.Displacement(1e-3 * x),
+        pytest.param(lambda x: (cddf.Displacement(1e-3 * x), 5.0), marks=pytest.mark.slow),
+        pytest.param(lambda x: cddf.TipPosition(jnp.stack([0.125, 0.04 + 0.002 * x])), marks=pytest.mark.slow),
+    ],
+    ids=["displacement", "displacement and tension", "place"],
+)
+def test_targets_that_differ_from_device_to_device(target):
+    """Only the target differs; body and tensions are those of all devices. Beside the same batch on one device."""
+    pair = paper_body("exact", num_tendons=2)
+
+    def reached(x):
+        wanted = target(x)
+        body = BODY if isinstance(wanted, cddf.Displacement) else pair
+        return cddf.solve(body, wanted, throw=False).base_tension
+
+    wanted = jnp.linspace(1.0, 4.0, 4)
+    alone = jax.jit(jax.vmap(reached))(wanted)
+    assert np.all(np.isfinite(alone))
+    np.testing.assert_allclose(on_four_devices(jax.vmap(reached))(wanted), alone, rtol=1e-6)
 
 
 def test_a_derivative_across_devices():

@@ -95,6 +95,7 @@ class _Aim(NamedTuple):
         """
         by_misses, by_moment = jnp.split(best.settled.slopes.residual, [best.residual.size], axis=1)
         units = jnp.eye(by_misses.shape[0], best.tension.size, dtype=best.tension.dtype) / self.scale
+        units = units + zero_as(best)  # varies over the same devices of shard_map as the rule
         at = best.residual, best.tension
         rows = jax.vmap(lambda *slopes: jax.jvp(rule, at, slopes)[1])(by_misses, units)
         slopes = best.settled.slopes._replace(residual=jnp.concatenate([rows, by_moment], axis=1))
@@ -104,8 +105,8 @@ class _Aim(NamedTuple):
 
     def nothing(self, start: Tensions, targets: int) -> _TensionTrial:
         """The first "best" trial of a search: no equilibrium, with infinite cost."""
-        zero = self.setup.zero + zero_as(start)
-        blank = unsettled(self.setup)
+        blank = unsettled(self.with_tensions(self.setup, start))
+        zero = blank.num_iterations
         slopes = jnp.eye(targets, start.size, dtype=start.dtype) + zero
         none = no_slopes(blank.nodal, start.size + self.num_moments, targets + self.num_moments, zero)
         blank = blank._replace(load_path=blank.load_path._replace(converged=zero > 0), slopes=none)
