@@ -246,7 +246,7 @@ def _conclude(groups: Sequence[Observed], structure: PyTree, ending: Ending) -> 
         restarted=ending.restarted,
         success=ending.success,
         result=ending.result,
-        parameters=jax.tree.map(np.asarray, problem.unravel(outcome.parameters)),
+        parameters=jax.tree.map(np.array, problem.unravel(outcome.parameters)),
         evidence=ending.evidence,
         minimum=ending.minimum,
     )

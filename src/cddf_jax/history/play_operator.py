@@ -213,11 +213,13 @@ def follow(
     """Front and tip after each step of a path that started at rest, and the fronts with their derivatives."""
     from_rest = turns.before == NO_STEP
     turned_at = jnp.where(from_rest, path, path[turns.before])
-    count, block = path.size, min(path.size, BLOCK)
-    places = np.minimum(np.arange(-(-count // block) * block), count - 1)  # of whole blocks: one program for all
-    motions = jax.tree.map(lambda x: x[places], Motion(path, turns.direction, turned_at, from_rest))
-    found = jax.lax.map(partial(ends_of_motion, body, nodes), motions, batch_size=block)
-    front, own, other = jax.tree.map(lambda x: x[:count], found)
+    motions, each = Motion(path, turns.direction, turned_at, from_rest), partial(ends_of_motion, body, nodes)
+    if path.size <= BLOCK:
+        found = jax.vmap(each)(motions)
+    else:
+        places = np.minimum(np.arange(-(-path.size // BLOCK) * BLOCK), path.size - 1)  # of whole blocks
+        found = jax.lax.map(each, jax.tree.map(lambda x: x[places], motions), batch_size=BLOCK)
+    front, own, other = jax.tree.map(lambda x: x[: path.size], found)
     moving = jax.vmap(partial(moving_front, body))(front, own.tension, other.tension, turns.direction)
     return front, tips(body, own, other, turns), jnp.where(from_rest, front, moving)
 

@@ -74,7 +74,10 @@ class _March(NamedTuple):
 
 
 class Slopes(NamedTuple):
-    """By the unknowns, along the leading axis: the tensions that are searched for, and M_ext(0) over its scale."""
+    """Slopes by the unknowns, which stand along the leading axis.
+
+    The unknowns are the tensions that are searched for, N, and M_ext(0) over its scale.
+    """
 
     nodal: Nodal | None  # None without loads
     residual: Float[Array, "unknowns equations"]

@@ -125,6 +125,7 @@ def _at_constant_moment(slopes: Float[Array, "equations unknowns"], moments: int
 def _ruled(
     rule: Rule, misses: Equations, scale: Number, unknown: np.ndarray, problem: Problem, solution: Solution
 ) -> Tensions:
+    """A rule as the equations of `balance`."""
     return rule(misses(problem, solution), problem.base_tension[unknown] / scale)
 
 
