@@ -3,6 +3,7 @@
 The search has no derivatives: `balance` gives them to the result, by the implicit function theorem.
 """
 
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -49,20 +50,17 @@ class Setup(eqx.Module):
 
     def pulled(self, base_tension: PerTendon) -> "Setup":
         """The same with other base tensions, N."""
-        return _with(self, "base_tension", base_tension)
+        return _with(self, base_tension=base_tension)
 
     def sliding(self, direction: PerTendon) -> "Setup":
         """The same with other directions."""
-        return _with(self, "direction", direction)
+        return _with(self, direction=direction)
 
 
-def _with(setup: Setup, name: str, value: PerTendon) -> Setup:
+def _with(setup: Setup, **number: PerTendon) -> Setup:
     """The same with another value of a number of its problems."""
-
-    def places(setup: Setup) -> list[PerTendon]:
-        return [getattr(problem, name) for problem in (setup.problem, setup.rough) if problem is not None]
-
-    return eqx.tree_at(places, setup, [value for _ in places(setup)])
+    problem, rough = (each and replace(each, **number) for each in (setup.problem, setup.rough))
+    return replace(setup, problem=problem, rough=rough)
 
 
 def set_up(
