@@ -112,20 +112,6 @@ def test_rows_that_no_curve_holds_are_solved_as_they_were_measured():
     np.testing.assert_allclose(model["tip_angle"], np.log1p(way * loss) / (way * 0.42), rtol=1e-9)
 
 
-@pytest.mark.slow
-def test_rows_with_a_weight_on_the_body_are_solved_with_it():
-    """As `solve` has them with a point load."""
-    pulls, weights = [20.0, 40.0], [0.0, -1.0]
-    table = cddf.Measurements.from_columns(
-        "bench", base_tension=pulls, tip_angle=[0.2, 0.4], **{"force_y@60mm": weights}
-    )
-    explored = Exploration(paper_body("exact"), (table,))
-    ((_, model),) = explored.in_rows(explored.manipulator)
-    loads = [cddf.Loads(points=[cddf.PointLoad(0.06, (0.0, weight))]) for weight in weights]
-    expected = [cddf.solve(explored.manipulator, *row).tip_angle for row in zip(pulls, loads, strict=True)]
-    np.testing.assert_allclose(model["tip_angle"], expected, rtol=1e-9)
-
-
 def test_data_of_two_tendons_lie_over_their_own_tensions():
     columns = {"base_tension": [20.0, 40.0], "base_tension_2": [5.0, 10.0]}
     read = {"tip_tension": [16.0, 30.0], "tip_tension_2": [6.0, 12.0], "tip_angle": [0.1, 0.2]}

@@ -156,19 +156,6 @@ def test_a_force_out_of_the_plane_is_that_of_the_table():
     np.testing.assert_allclose(1e3 * picture.equilibrium.tip_position, expected, atol=1e-6)
 
 
-@pytest.mark.slow
-def test_the_order_of_rows_is_followed(three):
-    """By `trace`, with more increments; each row on its own would bend by more than 0.01 rad less after the release."""
-    pulls = np.array([[10.0, 2.0, 2.0], [20.0, 2.0, 2.0], [10.0, 2.0, 2.0]])
-    tension = {f"base_tension{end}": pulls[:, i] for i, end in enumerate(("", "_2", "_3"))}
-    table = Measurements.from_columns("loop", **tension, tip_angle=[0.1, 0.2, 0.15], step=[1, 2, 3])
-    ((_, model),) = replace(three, tables=(table,)).in_rows(three.manipulator)
-    traced = cddf.trace(three.manipulator, pulls)
-    np.testing.assert_allclose(model["tip_angle"], traced.tip_angle, atol=1e-3)
-    alone = cddf.solve(three.manipulator, pulls[2], throw=False)
-    assert model["tip_angle"][2] - alone.tip_angle > 0.01
-
-
 def test_rows_hold_the_straight_body_and_its_tendons(three):
     rows = [*body_rows(straight(three.manipulator)), *tendon_rows(straight(three.manipulator))]
     rings = of(rows, "ring")

@@ -12,12 +12,11 @@ import pytest
 import xarray
 from bodies import paper_body
 from kinds import of_kind
-from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 from matplotlib.quiver import Quiver
 from places import DATA
-from read_back import legend_of, x_of, xy_of, y_of
+from read_back import x_of, xy_of, y_of
 from refusals import refused
 from scipy import stats
 
@@ -25,6 +24,7 @@ import cddf_jax as cddf
 from cddf_jax import figures
 
 TENSIONS, FRICTIONS = np.linspace(10.0, 50.0, 5), np.array([0.2, 0.4, 0.6])
+NUMBERS = ("base_tension", "friction_coefficient")
 LOCKED = cddf.Status.locked
 PAIR = paper_body(num_tendons=2)
 PLAIN = {"Friction coefficient", "Root of the rise in squares", ""}  # numbers without a unit, and hidden labels
@@ -54,14 +54,13 @@ def grid():
     result = np.zeros((5, 3), np.int8)
     result[4, 2] = LOCKED
     places[4, 2] = np.nan
-    dims = ("base_tension", "friction_coefficient")
     tension = np.stack([100 * places, 100 * places + 1000], axis=-1)
     return xarray.Dataset(
         {
-            "tip_tension": ((*dims, "tendon"), tension, {"units": "N"}),
-            "tip_position": ((*dims, "component"), np.stack([places, 2 * places], -1), {"units": "m"}),
-            "stable": (dims, np.ones((5, 3), bool)),
-            "result": (dims, result),
+            "tip_tension": ((*NUMBERS, "tendon"), tension, {"units": "N"}),
+            "tip_position": ((*NUMBERS, "component"), np.stack([places, 2 * places], -1), {"units": "m"}),
+            "stable": (NUMBERS, np.ones((5, 3), bool)),
+            "result": (NUMBERS, result),
         },
         {
             "base_tension": ("base_tension", TENSIONS, {"units": "N"}),
@@ -80,9 +79,7 @@ DRAWN = {
     "residuals": lambda it, axes: figures.draw_residuals(it("fit"), axes=axes),
     "profile": lambda it, axes: figures.draw_profile(it("fit"), it("profile"), axes),
     "lines": lambda it, axes: figures.draw_lines(it("grid").sel(tendon=0), "tip_tension", "base_tension", axes),
-    "map": lambda it, axes: figures.draw_map(
-        it("grid").sel(tendon=0), "tip_tension", "base_tension", "friction_coefficient", axes
-    ),
+    "map": lambda it, axes: figures.draw_map(it("grid").sel(tendon=0), "tip_tension", *NUMBERS, axes),
 }
 
 
@@ -99,10 +96,6 @@ def test_axes_in_and_axes_out(name, request):
     of_kind(Figure, given.figure).draw_without_rendering()
     for label in (given.get_xlabel(), given.get_ylabel()):
         assert label in PLAIN or re.search(r" \([^)]*[a-zA-Z°%][^)]*\)$", label), label
-
-
-def test_every_name_is_there():
-    assert all(callable(getattr(figures, name)) or name.endswith("COLUMN") for name in figures.__all__)
 
 
 # --- what is drawn is what was given -------------------------------------------------------------
@@ -182,26 +175,6 @@ def test_the_residuals_stand_below_the_data(fit):
 # --- sweeps --------------------------------------------------------------------------------------
 
 
-def test_tendons_and_components_are_lines_too(grid):
-    axes = figures.draw_lines(grid.sel(friction_coefficient=0.4), "tip_position", "base_tension", Figure().subplots())
-    assert axes.get_ylabel() == "Tip position (mm)"
-    x, y = axes.lines
-    np.testing.assert_allclose(y_of(x), 1e3 * (np.arange(5) + 1))
-    np.testing.assert_allclose(y_of(y), 2e3 * (np.arange(5) + 1))
-    assert legend_of(axes) == ["X", "Y"]
-
-
-def test_a_map_either_way_round(grid):
-    names = ("friction_coefficient", "base_tension")
-    axes = figures.draw_map(grid.sel(tendon=0), "tip_tension", *names, Figure().subplots())
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("Friction coefficient", "Base tension (N)")
-    lines = [artist for artist in axes.collections if isinstance(artist, QuadContourSet)][1]
-    # 100 (i + k) = level; friction coefficients are 0.2 (k + 1), base tensions 10 (i + 1)
-    friction, tension = np.asarray(lines.get_paths()[3].vertices).T
-    np.testing.assert_allclose(friction / 0.2 + tension / 10.0 - 2.0, list(lines.levels)[3] / 100.0, atol=1e-12)
-    assert legend_of(axes) == ["hatched: locked"]
-
-
 # --- what cannot be drawn ------------------------------------------------------------------------
 
 
@@ -211,23 +184,10 @@ def test_a_map_either_way_round(grid):
         (lambda it: figures.draw_along(PAIR, it("bent"), "stress"), "figures: quantity must be one of tension, "),
         (lambda it: figures.draw_fit(it("fit"), "x.csv"), "draw_fit: table must be one of pulley_simulated.csv"),
         (lambda it: figures.draw_residuals(it("fit"), column="tip_x"), "draw_residuals: column must be one of"),
-        (
-            lambda it: figures.draw_lines(it("grid"), "x", "base_tension"),
-            "draw_lines: 'x' is not an output of this sweep",
-        ),
-        (
-            lambda it: figures.draw_lines(it("grid"), "tip_tension", "length"),
-            "draw_lines: 'length' is not a number that varies; there are base_tension, friction_coefficient",
-        ),
-        (
-            lambda it: figures.draw_lines(it("grid"), "tip_position", "friction_coefficient"),
-            "draw_lines: base_tension varies too, with 5 values; choose one, as in dataset.isel({'base_tension'",
-        ),
-        (
-            lambda it: figures.draw_map(it("grid"), "tip_position", "base_tension", "friction_coefficient"),
-            "draw_map: component varies too, with 2 values; choose one, as in dataset.isel({'component'",
-        ),
-        (lambda it: figures.draw_map(it("grid"), "stable", "base_tension", "base_tension"), "draw_map: x and y"),
+        (lambda it: figures.draw_lines(it("grid"), "x", "base_tension"), "draw_lines: 'x' is not an output of this"),
+        (lambda it: figures.draw_lines(it("grid"), "tip_tension", "length"), "draw_lines: 'length' is not a number"),
+        (lambda it: figures.draw_map(it("grid"), "tip_position", *NUMBERS), "draw_map: component varies too, with 2"),
+        (lambda it: figures.draw_map(it("grid"), "stable", *2 * NUMBERS[:1]), "draw_map: x and y"),
     ],
 )
 def test_a_wrong_name_gives_one_clear_line(draw, message, request):

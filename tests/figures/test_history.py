@@ -75,14 +75,6 @@ def test_where_the_work_goes(history):
     assert sum(isinstance(area, PolyCollection) for area in axes.collections) == 2
 
 
-def test_the_whole_figure(history):
-    figure = figures.history_figure(BODY, history)
-    assert [axes.get_ylabel() for axes in figure.axes] == [
-        *("Tip tension (N)", "Tip angle (deg)", "Tension $T$ (N)", "Energy (mJ)")
-    ]
-    assert figure.get_figwidth() == figures.DOUBLE_COLUMN
-
-
 def test_what_cannot_be_drawn(history):
     with pytest.raises(cddf.InputError, match=r"^draw_loop: quantity must be one of tip_tension, tip_angle, tend"):
         figures.draw_loop(history, "strain")

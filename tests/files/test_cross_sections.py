@@ -10,8 +10,7 @@ from scipy.interpolate import CubicSpline
 
 import cddf_jax as cddf
 from cddf_jax.files import simplest_profile
-from cddf_jax.files.cross_sections import cross_sections_csv, in_one_line
-from cddf_jax.files.manipulator_file import read_robot_file
+from cddf_jax.files.cross_sections import cross_sections_csv
 from cddf_jax.robot.profiles import Polyline, Profile
 
 LENGTH = 0.14
@@ -112,23 +111,6 @@ def test_every_table_is_passed_and_nothing_lies_beyond_neighbouring_points(table
     assert np.all(np.maximum.accumulate(climb, axis=1) - climb <= 2 * slack)  # as near as that to a monotone curve
 
 
-def test_a_smooth_curve_that_swings_between_the_points_is_not_taken():
-    """The cubic spline through six even knots that passes the points leaves their range by far more than 1 um."""
-    s, values = 1e-3 * np.array([0, 60, 70, 130, 140, 200.0]), 1e-3 * np.array([2, 2, 1.8, 1.8, 1.6, 1.6])
-    read = taken(s, values, 1e-6)
-    assert len(of_kind(Polyline, read).values) == 6
-    np.testing.assert_allclose(read(S), np.interp(S, s, values), rtol=1e-12)
-    swing = np.max(CubicSpline(np.linspace(0, 0.2, 6), _through(s, values))(np.linspace(0, 0.06, 60001))) - 2e-3
-    assert swing > 1e-5
-
-
-def _through(s, values):
-    """The values at six even knots of the not-a-knot spline that passes the points: six equations."""
-    knots = np.linspace(0, s[-1], 6)
-    matrix = np.stack([CubicSpline(knots, row)(s) for row in np.eye(6)], axis=1)
-    return np.linalg.solve(matrix, values)
-
-
 def _second_moment(s, start, end, base, tip):
     """Of a solid cone between two rows."""
     return np.pi / 4 * (base + (tip - base) * (s - start) / max(end - start, 1e-300)) ** 4
@@ -191,28 +173,15 @@ def test_the_turns_of_an_offset_are_said(tmp_path):
     assert cddf.read_cross_sections(path, tolerance=2e-5).columns["offset_1"] == "constant 10 mm"
 
 
-@pytest.fixture
-def stepped_robot(tmp_path):
-    """The file of a manipulator whose body is the stepped table."""
+def test_solve_says_what_was_read(cddf_command, tmp_path):
+    """No curve through the points of a stepped rod stays between them: it is read as straight lines."""
     (tmp_path / "body.csv").write_text(STEPPED)
-    robot = tmp_path / "robot.toml"
-    robot.write_text(
-        'cross_sections = "body.csv"\nyoungs_modulus = "2 GPa"\nfriction_coefficient = 0.2\n'
-        "offsets_outside_wall = true\n"
-    )
-    return robot
-
-
-def test_what_was_read_is_said_by_column_and_in_one_line(stepped_robot):
-    said = in_one_line(read_robot_file(stepped_robot).columns)
-    outer, inner = "outer_radius: straight lines through 6 points", "inner_radius: constant 0 mm"
-    assert said == f"cross-sections: {outer}; {inner}; offset_1: constant 6 mm"
-
-
-def test_solve_says_what_was_read(cddf_command, stepped_robot):
-    code, out, err = cddf_command("solve", str(stepped_robot), "-t", "20 N")
+    robot = 'cross_sections = "body.csv"\nyoungs_modulus = "2 GPa"\nfriction_coefficient = 0.2\n'
+    (tmp_path / "robot.toml").write_text(robot + "offsets_outside_wall = true\n")
+    code, out, err = cddf_command("solve", tmp_path / "robot.toml", "-t", "20 N")
     assert (code, "78.415 deg" in out) == (0, True)
-    assert f"note: {in_one_line(read_robot_file(stepped_robot).columns)}" in err.splitlines()
+    outer, inner = "outer_radius: straight lines through 6 points", "inner_radius: constant 0 mm"
+    assert f"note: cross-sections: {outer}; {inner}; offset_1: constant 6 mm" in err.splitlines()
 
 
 def test_scattered_points_are_refused_with_the_remedy():
@@ -243,21 +212,16 @@ def test_a_step_that_was_written_is_read_where_it_is(read):
     assert type(sections.inner_radius) is cddf.Constant
 
 
-def test_a_manipulator_file_takes_its_sections_from_a_table(tmp_path):
-    """The same solve as the body whose table was written; nine digits are written."""
+def test_a_tendon_of_a_table_has_more_numbers_in_the_manipulator_file(tmp_path):
     (tmp_path / "body.csv").write_text(cross_sections_csv(paper_body("exact")))
     robot = tmp_path / "robot.toml"
-    robot.write_text('cross_sections = "body.csv"\nyoungs_modulus = "1.4 MPa"\nfriction_coefficient = 0.42\n')
-    read = cddf.read_manipulator(robot)
-    assert float(read.length) == LENGTH
-    np.testing.assert_allclose(
-        cddf.solve(read, 75.0).tip_tension, cddf.solve(paper_body("exact"), 75.0).tip_tension, rtol=1e-7
-    )
     robot.write_text(
         'cross_sections = { file = "body.csv", tolerance = "10 um" }\nyoungs_modulus = "1.4 MPa"\n'
         'friction_coefficient = 0.42\n[[tendons]]\nfriction_coefficient = 0.3\naxial_stiffness = "12 kN"\n'
     )
-    (tendon,) = cddf.read_manipulator(robot).tendons
+    read = cddf.read_manipulator(robot)
+    (tendon,) = read.tendons
+    assert float(read.length) == LENGTH
     assert (tendon.friction_coefficient, tendon.axial_stiffness) == (0.3, 12e3)
 
 

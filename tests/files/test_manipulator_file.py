@@ -307,19 +307,3 @@ def test_arguments_in_the_wrong_order_are_named(tmp_path):
     with pytest.raises(TypeError, match=f"^{said}str and str$"):
         write_manipulator("body", str(path))  # type: ignore[arg-type]
     assert not path.exists()
-
-
-def test_a_file_is_written_complete_or_not_at_all(tmp_path, monkeypatch):
-    body, path = read_manipulator(PAPER), tmp_path / "body.toml"
-    path.write_text("old")
-
-    def full_disk(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("os.replace", full_disk)
-    with pytest.raises(InputError, match=r"body.toml: No space left on device; choose another place$"):
-        write_manipulator(body, path)
-    assert [file.name for file in tmp_path.iterdir()] == ["body.toml"]
-    assert path.read_text() == "old"
-    with pytest.raises(InputError, match=r"body.toml: .*; choose another place$"):
-        write_manipulator(body, path / "body.toml")  # a file is no folder
