@@ -4,7 +4,6 @@ import jax
 import numpy as np
 import pandas
 import pytest
-import xarray
 from scipy import stats
 
 import cddf_jax as cddf
@@ -31,14 +30,6 @@ def test_a_dataset_holds_the_fields_with_units(equilibrium):
     np.testing.assert_allclose(data.position.sel(arc_length=0.14, method="nearest"), data.tip_position, rtol=1e-12)
     assert [data[name].attrs["units"] for name in ("tension", "curvature", "normal_force")] == ["N", "1/m", "N/m"]
     assert data.attrs["result"] == "successful"
-
-
-def test_a_dataset_survives_netcdf(equilibrium, tmp_path):
-    data = cddf.as_dataset(equilibrium)
-    data.to_netcdf(tmp_path / "eq.nc")
-    with xarray.open_dataset(tmp_path / "eq.nc") as again:
-        np.testing.assert_array_equal(again.tension, data.tension)
-        assert again.tension.attrs == data.tension.attrs
 
 
 def test_a_frame_of_an_equilibrium_goes_through_csv(equilibrium, tmp_path):

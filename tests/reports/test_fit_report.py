@@ -4,7 +4,6 @@ import dataclasses
 import json
 import re
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from bodies import paper_body
@@ -59,10 +58,6 @@ def with_prior(paper, pulley):
 
 def words_of(fit):
     return report.fit_as_markdown(fit, {})
-
-
-def results_of(fit):
-    return report.fit_as_dict(fit, {})
 
 
 def row_of(markdown, name):
@@ -138,9 +133,6 @@ def test_where_the_noise_comes_from(tensions_only, with_prior):
     assert "Noise estimated from the residuals; 101 degrees of freedom; rank 1" in words_of(tensions_only)
     assert "Noise as given" in words_of(with_prior)
     assert "| pulley_simulated.csv: pulling_tension | 0.3 N | the same for all |" in words_of(with_prior)
-
-
-def test_prior_only_is_said(with_prior):
     assert row_of(words_of(with_prior), "youngs_modulus")[3] == "prior only"
 
 
@@ -155,7 +147,7 @@ def test_warnings_have_their_section(paper):
 
 
 def test_what_is_infinite_is_null(tensions_only):
-    text = writing.as_json(results_of(tensions_only))
+    text = writing.as_json(report.fit_as_dict(tensions_only, {}))
     answer = json.loads(text, parse_constant=lambda constant: pytest.fail(constant))
     assert answer["standard_error"] == dict.fromkeys(BOTH)
     assert answer["confidence_interval"] == {name: [0.0, None] for name in BOTH}
@@ -166,51 +158,7 @@ def test_what_is_infinite_is_null(tensions_only):
     assert answer["combinations"][RATIO]["standard_error"] == tensions_only.combinations[RATIO].standard_error
 
 
-def test_the_dictionary_holds_the_fit(paper_route):
-    answer = json.loads(writing.as_json(results_of(paper_route)))
-    assert answer["value"] == paper_route.value
-    assert answer["standard_error"] == paper_route.standard_error
-    assert answer["verdict"] == list(paper_route.verdict)
-    assert answer["alone"]["pulley_simulated.csv"]["status"]["youngs_modulus"] == "not identified"
-    assert (answer["rank"], answer["success"], answer["result"]) == (2, True, "successful")
-    assert [(table["name"], table["rows"], table["simulated"]) for table in answer["data"]] == [
-        ("pulley_simulated.csv", 30, True),
-        ("load_cells_simulated.csv", 102, True),
-    ]
-    assert (answer["kinematics"], answer["versions"]["cddf-jax"]) == ("published", cddf.__version__)
-    np.testing.assert_allclose(np.diag(answer["correlation"]), 1.0)
-
-
 # --- figures -------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def figures(paper_route):
-    before = plt.get_fignums()
-    made = fit_figures.table_figures(paper_route)
-    assert plt.get_fignums() == before  # nothing left open
-    return made
-
-
-def test_one_figure_per_table(figures):
-    assert list(figures) == ["fit_pulley_simulated", "fit_load_cells_simulated"]
-    for figure in figures.values():
-        assert len(figure.axes) == 2  # data and model above, residuals below
-    above, below = figures["fit_load_cells_simulated"].axes
-    labels = [above.get_ylabel().lower(), below.get_ylabel().lower(), below.get_xlabel().lower()]
-    for label, quantity in zip(labels, ("tip tension", "residual", "base tension"), strict=True):
-        assert label.startswith(quantity)
-        assert re.search(r"\bn\b", label)  # the unit
-
-
-def test_the_curve_is_the_model(figures, paper_route):
-    """The line of the load cells' panel against the closed form at the estimate, docs/theory.md (16)."""
-    above = figures["fit_load_cells_simulated"].axes[0]
-    mu, modulus = (paper_route.value[name] for name in BOTH)
-    drawn = [xy_of(line).T for line in above.get_lines() if len(xy_of(line).T) == 100]
-    assert drawn
-    base, tip = np.asarray(drawn[0]).T
-    np.testing.assert_allclose(tip, base / (1 + mu / modulus * base * 2.942783188998e4), rtol=1e-8)
 
 
 def test_the_figure_of_a_single_level(paper):

@@ -6,7 +6,6 @@ from io import BytesIO
 
 import numpy as np
 import pytest
-from bodies import paper_body
 from matplotlib.image import imread
 from places import DATA
 
@@ -15,7 +14,7 @@ from cddf_jax.figures import fit as fit_figures
 from cddf_jax.figures.style import render
 from cddf_jax.files import writing
 from cddf_jax.files.manipulator_file import read_manipulator
-from cddf_jax.measurements.table import Measurements, read_measurements
+from cddf_jax.measurements.table import read_measurements
 from cddf_jax.reports.reproduction import reproduce
 from cddf_jax.units import round_number
 
@@ -87,13 +86,6 @@ def test_markdown_holds_every_row(report):
     text = report.files()["reproduction.md"]
     assert all(f"| {row['quantity']} |" in text for row in report.answer["table"])
     assert "| tension loss at 75 N | 40.00 % | 39.84 % | -0.16 % |" in text
-
-
-def test_bad_input_is_named(load_cells):
-    with pytest.raises(InputError, match=r"one tendon, this one has 2"):
-        reproduce(paper_body(num_tendons=2), load_cells)
-    with pytest.raises(InputError, match=r"^bench: the column tip_tension is missing"):
-        reproduce(paper_body(), Measurements.from_columns("bench", base_tension=[5.0, 10.0]))
 
 
 # --- writing of files ------------------------------------------------------------------------------
