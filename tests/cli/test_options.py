@@ -57,62 +57,42 @@ def test_a_place_of_the_tip_with_limits():
     assert refused(read_actuation, ["tip_position=100, 80 mm", "3 N"], TWO) == message
 
 
-WRONG = [
-    ("75", "--base-tension needs a unit of force, got '75'; write for example '12.5 N'"),
-    ("", "--base-tension is not a number, got ''; write for example '12.5 N'"),
-    ("-5 N", "--base-tension '-5 N': a tendon cannot push; give 0 N or more"),
-    ("tip_angle=45", "--base-tension tip_angle needs a unit of angle, got '45'; write for example '12.5 deg'"),
-    ("tip_angle 45 deg", "--base-tension 'tip_angle 45 deg': write a target with = as in 'tip_angle=12 deg'"),
-    ("tip-angle=45 deg", "--base-tension 'tip-angle=45 deg': unknown target 'tip-angle'; did you mean tip_angle?"),
-    (
-        "mu=0.4",
-        "--base-tension 'mu=0.4': unknown target 'mu'; known are displacement, tip_angle, tip_tension, curvature, "
-        "total_tension, tip_stiffness, tip_position",
-    ),
-    (
-        "tip_position=0.1 m",
-        "--base-tension tip_position needs two components X, Y, or three in space, got '0.1 m'; "
-        "write for example '0 mm, -12.5 mm'",
-    ),
-    ("tip_position=1, 2, 3 mm", "--base-tension 'tip_position=1, 2, 3 mm': 3 components given; this body needs 2"),
-    (
-        "tip_position=1, 2 mm from 3 N to 2 N",
-        "--base-tension 'tip_position=1, 2 mm from 3 N to 2 N': give a least "
-        "tension of 0 N or more, and a largest that is not below it",
-    ),
-    ("tip_tension=-4 N", "--base-tension 'tip_tension=-4 N': a tendon cannot push; give 0 N or more"),
-    ("tip_stiffness=0 N/m", "--base-tension 'tip_stiffness=0 N/m': a stiffness is positive; give more than 0 N/m"),
-    (
-        "curvature=8 1/m",
-        "--base-tension 'curvature=8 1/m': say where the curvature is wanted as in 'curvature=12 1/m at 70 mm'",
-    ),
-    (
-        "curvature=8 1/m at 70",
-        "--base-tension curvature at needs a unit of length, got '70'; write for example '12.5 mm'",
-    ),
-    (
-        "curvature=8 1/m at 150 mm",
-        "--base-tension 'curvature=8 1/m at 150 mm': 150 mm is not on the body; give an arc length from 0 mm to 140 mm",
-    ),
-]
-
-
-@pytest.mark.parametrize(("target", "message"), WRONG)
+@pytest.mark.parametrize(
+    ("target", "message"),
+    [
+        ("75", "--base-tension needs a unit of force, got '75'; write for example '12.5 N'"),
+        ("", "--base-tension is not a number, got ''; write for example '12.5 N'"),
+        ("-5 N", "--base-tension '-5 N': a tendon cannot push; give 0 N or more"),
+        ("tip_angle=45", "--base-tension tip_angle needs a unit of angle, got '45'; write for example '12.5 deg'"),
+        ("tip_angle 45 deg", "'tip_angle 45 deg': write a target with = as in 'tip_angle=12 deg'"),
+        ("tip-angle=45 deg", "'tip-angle=45 deg': unknown target 'tip-angle'; did you mean tip_angle?"),
+        ("mu=0.4", "'mu=0.4': unknown target 'mu'; known are displacement, tip_angle, tip_tension, curvature, "),
+        ("tip_position=0.1 m", "--base-tension tip_position needs two components X, Y, or three in space, got '0.1 m'"),
+        ("tip_position=1, 2, 3 mm", "'tip_position=1, 2, 3 mm': 3 components given; this body needs 2"),
+        (
+            "tip_position=1, 2 mm from 3 N to 2 N",
+            "give a least tension of 0 N or more, and a largest",
+        ),
+        ("tip_tension=-4 N", "'tip_tension=-4 N': a tendon cannot push; give 0 N or more"),
+        ("tip_stiffness=0 N/m", "'tip_stiffness=0 N/m': a stiffness is positive; give more than 0 N/m"),
+        ("curvature=8 1/m", "say where the curvature is wanted as in 'curvature=12 1/m at 70 mm'"),
+        ("curvature=8 1/m at 70", "--base-tension curvature at needs a unit of length, got '70'"),
+        ("curvature=8 1/m at 150 mm", "150 mm is not on the body; give an arc length from 0 mm to 140 mm"),
+    ],
+)
 def test_wrong_tensions_and_targets(target, message):
-    assert refused(read_actuation, [target], ONE) == message
+    said = refused(read_actuation, [target], ONE)
+    assert said.startswith("--base-tension ")
+    assert message in said
 
 
 def test_wrong_numbers_of_tensions_targets_and_directions():
     for texts, body, message in (
         (["75 N"] * 2, ONE, "--base-tension: 2 given; give one for all, or one for each of 1"),
         (["75 N"] * 3, TWO, "--base-tension: 3 given; give one for all, or one for each of 2"),
-        (
-            ["tip_angle=45 deg"],
-            TWO,
-            "--base-tension: 1 given with a target among them; give one tension or target for each of 2",
-        ),
+        (["tip_angle=45 deg"], TWO, "--base-tension: 1 given with a target among them; give one tension or target for"),
     ):
-        assert refused(read_actuation, texts, body) == message
+        assert refused(read_actuation, texts, body).startswith(message)
     assert refused(read_directions, [1] * 3, TWO) == "--direction: 3 given; give one for all, or one for each of 2"
     assert refused(read_directions, [2], ONE).startswith("--direction 2: give +1 for a tendon that slides in")
     assert read_directions([-1], TWO) == [-1, -1]
@@ -123,30 +103,20 @@ def test_wrong_numbers_of_tensions_targets_and_directions():
 
 
 @pytest.mark.parametrize(
-    "texts",
+    ("texts", "values"),
     [
-        ("0 N, -5 N", "0.1 N m", "0, -9.81 m/s^2"),
-        ("0, -0.005 kN", "100 N mm", "0 m/s^2, -981 cm/s^2"),
+        (("0 N, -5 N", "0.1 N m", "0, -9.81 m/s^2"), [[0.0, -5.0], 0.1, [0.0, -9.81]]),
+        (("0, -0.005 kN", "100 N mm", "0 m/s^2, -981 cm/s^2"), [[0.0, -5.0], 0.1, [0.0, -9.81]]),
+        (("0, -5, 1 N", "0, 0, 100 N mm", "0, 0, -981 cm/s^2"), [[0.0, -5.0, 1.0], [0.0, 0.0, 0.1], [0.0, 0.0, -9.81]]),
     ],
 )
-def test_units_of_the_loads(texts):
-    loads = read_loads(*texts)
-    assert loads is not None
-    assert np.asarray(loads.tip_force).tolist() == [0.0, -5.0]
-    assert float(loads.tip_moment) == 0.1
-    assert np.asarray(loads.gravity).tolist() == [0.0, -9.81]
-
-
-def test_loads_in_space():
-    loads = read_loads("0, -5, 1 N", "0, 0, 100 N mm", "0, 0, -981 cm/s^2")
-    assert loads is not None
-    found = [np.asarray(load).tolist() for load in (loads.tip_force, loads.tip_moment, loads.gravity)]
-    assert found == [[0.0, -5.0, 1.0], [0.0, 0.0, 0.1], [0.0, 0.0, -9.81]]
+def test_units_of_the_loads(texts, values):
+    loads = of_kind(cddf.Loads, read_loads(*texts))
+    assert [np.asarray(load).tolist() for load in (loads.tip_force, loads.tip_moment, loads.gravity)] == values
 
 
 def test_loads_at_places_of_the_body():
-    loads = read_loads(None, None, None, ["60 mm: 0, -1 N", "0.1 m: 1, 0, 0 N and 0, 0, 100 N mm"])
-    assert loads is not None
+    loads = of_kind(cddf.Loads, read_loads(None, None, None, ["60 mm: 0, -1 N", "0.1 m: 1, 0, 0 N and 0, 0, 100 N mm"]))
     found = [[np.asarray(x).tolist() for x in (each.arc_length, each.force, each.moment)] for each in loads.points]
     assert found == [[0.06, [0.0, -1.0], 0.0], [0.1, [1.0, 0.0, 0.0], [0.0, 0.0, 0.1]]]
     for text, message in (
@@ -158,36 +128,25 @@ def test_loads_at_places_of_the_body():
         assert refused(read_loads, None, None, None, [text]) == f"--point-load {message}"
 
 
-def test_zeros_switch_the_gravity_of_the_robot_file_off():
-    assert read_loads(None, None, "0, 0 m/s^2", mounted=(0.0, -9.81)) is None
-    assert read_loads(None, None, None, mounted=(0.0, 0.0)) is None
-    assert read_loads(None, None, None) is None
-
-
 @pytest.mark.parametrize(
     ("option", "text", "message"),
     [
-        (
-            "--tip-force",
-            "5 N",
-            "needs two components X, Y, or three in space, got '5 N'; write for example '0 N, -12.5 N'",
-        ),
+        ("--tip-force", "5 N", " needs two components X, Y, or three in space, got '5 N'; write for example '0 N, -12"),
         ("--tip-force", "1 N, 2 N, 3 m", " Z needs a unit of force, got '3 m'; write for example '12.5 N'"),
         ("--tip-force", "0, -5", " X needs a unit of force, got '0'; write for example '12.5 N'"),
         ("--tip-force", "0 N,", " Y is not a number, got ''; write for example '12.5 N'"),
-        ("--tip-moment", "0.1", "needs a unit of moment, got '0.1'; write for example '12.5 N m'"),
+        ("--tip-moment", "0.1", " needs a unit of moment, got '0.1'; write for example '12.5 N m'"),
         (
             "--tip-moment",
             "0.1 N m, 0",
-            "is one number in the plane and three in space, got '0.1 N m, 0'; write '0, 0, 0.1 N m'",
+            " is one number in the plane and three in space, got '0.1 N m, 0'",
         ),
         ("--gravity", "0, -9.81 m", " X needs a unit of acceleration, got '0 m'; write for example '12.5 m/s^2'"),
     ],
 )
 def test_wrong_loads(option, text, message):
-    place = ("--tip-force", "--tip-moment", "--gravity").index(option)
-    texts = [text if i == place else None for i in range(3)]
-    assert refused(read_loads, *texts).startswith(f"{option} {message.lstrip()}")
+    texts = [text if option == own else None for own in ("--tip-force", "--tip-moment", "--gravity")]
+    assert refused(read_loads, *texts).startswith(option + message)
 
 
 # --- priors, noise, columns ------------------------------------------------------------------------
@@ -228,11 +187,7 @@ def test_the_setting_of_a_bench():
         (of_given, "youngs_modulus=1 MPa", "given: youngs_modulus does not belong to the bench"),
         (read_priors, "youngs_modulus", "--prior 'youngs_modulus': write for example "),
         (read_priors, "youngs_modulus=1.4 MPa", "--prior youngs_modulus: write for example "),
-        (
-            read_priors,
-            "mu=0.4 +- 0.1",
-            "'mu' is not a parameter that can be fitted; there are friction_coefficient, young",
-        ),
+        (read_priors, "mu=0.4 +- 0.1", "'mu' is not a parameter that can be fitted; there are friction_coefficient"),
         (read_priors, "youngs_modulus=1.4 MPa +- 0.1", "--prior youngs_modulus needs a unit of pressure, got '0.1'"),
         (read_noise, "tip_tension", "--noise 'tip_tension': write for example "),
         (read_noise, "tip_tension=0.5 mm", "--noise tip_tension needs a unit of force, got '0.5 mm'"),

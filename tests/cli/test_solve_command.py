@@ -40,12 +40,6 @@ def test_solve_in_json_is_what_the_library_says(answer_of):
     assert targets == [{"curvature": 8.0, "arc_length": 0.07}]
 
 
-def test_kinematics_instead_of_the_files(answer_of):
-    answer = answer_of("solve", PAPER, "-t", "75 N", "--kinematics", "exact")
-    assert np.degrees(answer["tip_angle"]) == pytest.approx(69.31393, abs=1e-5)  # docs/theory.md (16)
-    np.testing.assert_allclose(answer["tip_position"], [0.11734384, 0.06028179], atol=1e-8)
-
-
 def test_solve_writes_files(answer_of, tmp_path):
     answer = answer_of("solve", PAPER, "-t", "75 N", "--out", tmp_path / "new" / "folder")
     files = {path.name: path for path in (tmp_path / "new" / "folder").iterdir()}
