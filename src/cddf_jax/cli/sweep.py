@@ -165,14 +165,14 @@ def sweep(
         if sweep_report.is_first_process():
             options.print_answer(sweep_report.rehearsal_in_words(expected), expected, as_json=as_json)
         return
-    places = sweep_report.read_places(out, netcdf, csv)
+    store = sweep_report.checked_store(work, out, netcdf, csv)
     try:
-        found = sweep_report.run_sweep(work, places, context.params)
+        found = sweep_report.run_sweep(work, store, context.params)
         if found is None:
             return
-        export = partial(sweep_report.write_exports, work, found[0], places)
-        report = sweep_report.sweep_report(work, *found, places.store.stem)
-        options.give(report, places.store.parent, as_json=as_json, export=export)
+        export = partial(sweep_report.write_exports, work, found[0], netcdf, csv)
+        report = sweep_report.sweep_report(work, *found, store.stem)
+        options.give(report, store.parent, as_json=as_json, export=export)
     except KeyboardInterrupt:
         remedy = "what is in the store stays there, start the same command again and it goes on"
         options.stop(f"interrupted; {remedy}", options.INTERRUPTED)

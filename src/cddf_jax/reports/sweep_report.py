@@ -4,7 +4,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
@@ -30,47 +30,37 @@ if TYPE_CHECKING:
 NETCDF_MOST = 2**31 - 1  # bytes of a NetCDF file; SciPy writes no larger variables
 
 
-class Places(NamedTuple):
-    """Where the results go: figures and JSON lie beside the store, under its name."""
-
-    store: Path
-    netcdf: Path | None = None
-    csv: Path | None = None
-
-
 Json = dict[str, Any]  # what `--json` prints: SI units
 
 
 # --- where it goes -------------------------------------------------------------------------------
 
 
-def read_places(out: Path | None, netcdf: Path | None, csv: Path | None) -> Places:
-    """The store itself where the name ends with .zarr, or the folder for it and all that goes with it."""
+def checked_store(work: Sweep, out: Path | None, netcdf: Path | None, csv: Path | None) -> Path:
+    """The store itself where the name ends with .zarr, or else that in the folder for it and all that goes with it.
+
+    What could not be written afterwards is refused before anything is computed.
+    """
     if out is None:
         raise InputError("--out is missing; give a store such as --out sweep.zarr, or --dry-run to see what it takes")
-    for option, path in (("--netcdf", netcdf), ("--csv", csv)):
-        if path is not None and path.is_dir():
-            raise InputError(f"{option} {path}: is a folder; give the name of a file")
     if netcdf is not None and netcdf == csv:
         raise InputError(f"--netcdf and --csv are both {csv}; give them different names")
-    return Places(out if out.suffix == ".zarr" else out / "sweep.zarr", netcdf, csv)
-
-
-def _check_places(places: Places, work: Sweep) -> None:
-    """Refuse, before anything is computed, what could not be written afterwards."""
-    csv, netcdf = places.csv, places.netcdf
-    for option, path in (("--out", places.store), ("--netcdf", netcdf), ("--csv", csv)):
+    store = out if out.suffix == ".zarr" else out / "sweep.zarr"
+    for option, path in (("--out", store), ("--netcdf", netcdf), ("--csv", csv)):
         if path is not None:
+            if path != store and path.is_dir():
+                raise InputError(f"{option} {path}: is a folder; give the name of a file")
             with within(option):
                 check_folder(path.parent)
     layout = work.layout
-    outputs = layout.empty.data_vars
     size, most = layout.size * layout.bytes_each, min(NETCDF_MOST, int(work.free) // 2)  # it is held twice
     if netcdf is not None and size > most:
         sizes = f"the answer has {filesize.decimal(size)}, {filesize.decimal(most)} can be written at once"
         raise InputError(f"--netcdf {netcdf}: {sizes}; use the Zarr store")
-    if csv is not None and not any(name not in VERDICTS and is_short(array) for name, array in outputs.items()):
+    outputs = layout.empty.data_vars.items()
+    if csv is not None and not any(name not in VERDICTS and is_short(array) for name, array in outputs):
         raise InputError(f"--csv {csv}: a table takes no outputs along the body; add one such as tip_tension")
+    return store
 
 
 # --- running -------------------------------------------------------------------------------------
@@ -81,15 +71,14 @@ def is_first_process() -> bool:
     return jax.process_index() == 0
 
 
-def run_sweep(work: Sweep, places: Places, options: Mapping[str, object]) -> "tuple[xarray.Dataset, Json] | None":
+def run_sweep(work: Sweep, store: Path, options: Mapping[str, object]) -> "tuple[xarray.Dataset, Json] | None":
     """Run the sweep, and return its answer and the summary that the command prints.
 
     The options of the command line go into the summary. All processes but the first return None.
     """
-    _check_places(places, work)
-    before = _there_already(work, places.store)
+    before = _there_already(work, store)
     start = time.perf_counter()
-    answer = work.run(places.store)
+    answer = work.run(store)
     seconds = time.perf_counter() - start
     if not is_first_process():
         return None
@@ -103,7 +92,7 @@ def run_sweep(work: Sweep, places: Places, options: Mapping[str, object]) -> "tu
         "options": {name: str(value) if isinstance(value, Path) else value for name, value in options.items()},
         "identity": work.identity,
         "versions": versions("xarray", "zarr"),
-        "store": in_utf8(places.store),
+        "store": in_utf8(store),
     }
     return answer, summary
 
@@ -117,12 +106,12 @@ def _there_already(work: Sweep, store: Path) -> int:
 
 
 @stage("writing")
-def write_exports(work: Sweep, answer: "xarray.Dataset", places: Places) -> None:
+def write_exports(work: Sweep, answer: "xarray.Dataset", netcdf: Path | None, csv: Path | None) -> None:
     """Write the answer as NetCDF and as a table, where a place is given for them."""
-    if places.netcdf is not None:
-        write_netcdf(answer, places.netcdf)
-    if places.csv is not None:
-        write_csv(work.layout, answer, places.csv)
+    if netcdf is not None:
+        write_netcdf(answer, netcdf)
+    if csv is not None:
+        write_csv(work.layout, answer, csv)
 
 
 def sweep_report(work: Sweep, answer: "xarray.Dataset", summary: Json, name: str) -> Report:
@@ -207,21 +196,15 @@ def summary_in_words(summary: Json) -> str:
 
 def rehearsal_in_words(expected: Json) -> str:
     """The answer of `rehearse` for the terminal."""
-    memory = expected["memory"]
-    lines = [
-        f"{expected['solves']:,} solves",
-        *(f"{axis['dimension']}: {_axis_in_words(axis)}" for axis in expected["axes"]),
-        f"answer: {', '.join(expected['outputs'])}; {filesize.decimal(expected['bytes'])} on disk at most",
-        f"memory: {filesize.decimal(memory['needed'])} needed, {filesize.decimal(int(memory['free']))} free",
-    ]
-    return "\n".join(lines)
-
-
-def _axis_in_words(axis: Json) -> str:
-    name = axis["name"] if axis["name"] != axis["dimension"] else ""
-    first, last = (_number(np.asarray(axis[end]), axis["unit"]) for end in ("first", "last"))
-    ends = first if axis["count"] == 1 and axis["unit"] is None else f"{first} to {last}"
-    return f"{name} {ends}, {axis['count']:,} value{'s' if axis['count'] > 1 else ''}".strip()
+    memory, lines = expected["memory"], [f"{expected['solves']:,} solves"]
+    for axis in expected["axes"]:
+        name = f"{axis['name']} " if axis["name"] != axis["dimension"] else ""
+        first, last = (_number(np.asarray(axis[end]), axis["unit"]) for end in ("first", "last"))
+        values = f"{first} to {last}, {axis['count']:,} values" if axis["count"] > 1 else f"{first}, 1 value"
+        lines.append(f"{axis['dimension']}: {name}{values}")
+    disk, needed, free = map(filesize.decimal, (expected["bytes"], memory["needed"], int(memory["free"])))
+    lines.append(f"answer: {', '.join(expected['outputs'])}; {disk} on disk at most")
+    return "\n".join([*lines, f"memory: {needed} needed, {free} free"])
 
 
 def _ranges(outputs: Json) -> Iterator[str]:
