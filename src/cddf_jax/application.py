@@ -26,7 +26,8 @@ def configure_jax(*, all_cores: bool = False, distributed: bool = False) -> None
     keep_programs()
     given = "xla_force_host_platform_device_count" in os.environ.get("XLA_FLAGS", "")
     if all_cores and jax.config.jax_num_cpu_devices < 0 and not given:  # type: ignore[attr-defined]  # JAX types none
-        jax.config.update("jax_num_cpu_devices", _cores())
+        own = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None  # cores of this process
+        jax.config.update("jax_num_cpu_devices", own or os.cpu_count() or 1)
     if distributed:
         jax.distributed.initialize()
     _check_platform()
@@ -69,8 +70,3 @@ def _check_platform() -> None:
         raise InputError(
             f"JAX_PLATFORMS={wanted}: JAX finds no such device", remedy="unset it, or set JAX_PLATFORMS=cpu"
         ) from None
-
-
-def _cores() -> int:
-    """The number of cores that this process may use, or of all cores if the system does not say."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

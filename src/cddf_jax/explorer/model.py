@@ -220,11 +220,8 @@ class Exploration:
 @eqx.filter_jit
 def _solved(case: Case, arc_length: Float[ArrayLike, " points"]) -> tuple[Equilibrium, AnyFields, Array]:
     equilibrium = _solve(case)
-    return equilibrium, equilibrium.at(arc_length), _peak_strain(equilibrium)
-
-
-def _peak_strain(equilibrium: Equilibrium) -> Array:
-    return equilibrium.peak_strain if equilibrium.has_wall else jnp.full((), jnp.nan)
+    peak_strain = equilibrium.peak_strain if equilibrium.has_wall else jnp.full((), jnp.nan)
+    return equilibrium, equilibrium.at(arc_length), peak_strain
 
 
 def _solve(case: Case) -> Equilibrium:

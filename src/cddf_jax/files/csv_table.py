@@ -128,7 +128,10 @@ def _values(heading: Heading, texts: list[str], rows: list[int], kind: Kind, sou
             remedy = "open the file in a spreadsheet program and save it, or put the values in place of the formulas"
             raise InputError(f"row {row}, column {column}: the formula {short(text)} was never computed; {remedy}")
     if column in kind.labels:
-        return _labels(column, rows, texts)
+        labels = [text.strip() for text in texts]
+        if "" in labels:
+            raise InputError(f"row {rows[labels.index('')]}, column {column}: the cell is empty; fill it")
+        return np.array(labels)
     if _is_time(column, kind):
         values, said = seconds_in(column, rows, texts, heading.unit or "s")
         source.read_as.extend([said] if said else [])
@@ -170,13 +173,6 @@ def _cells_by_column(rows: Iterable[Row], headings: Sequence[Heading]) -> tuple[
         at.append(row)
         texts += cells
     return at, [texts[column::width] for column in range(width)]
-
-
-def _labels(column: str, rows: Sequence[int], texts: Sequence[str]) -> np.ndarray:
-    labels = [text.strip() for text in texts]
-    if "" in labels:
-        raise InputError(f"row {rows[labels.index('')]}, column {column}: the cell is empty; fill it")
-    return np.array(labels)
 
 
 def _replace_words(texts: list[str], words: Mapping[str, str], words_read: dict[str, str]) -> list[str]:

@@ -187,13 +187,7 @@ def write_manipulator(
     Raises:
         InputError: for a manipulator that `validate` refuses, a profile of another kind, a gravity of another number of
             components or one that is not finite, a file that cannot be written, or without the package tomli-w.
-        TypeError: for anything but a manipulator and a path, in this order.
     """
-    if not isinstance(manipulator, Manipulator) or not isinstance(path, str | os.PathLike):
-        raise TypeError(
-            "write_manipulator needs a Manipulator and a path, in this order, "
-            f"got {type(manipulator).__name__} and {type(path).__name__}"
-        )
     text = manipulator_text(manipulator, offsets_outside_wall=offsets_outside_wall, gravity=gravity)
     write_all(Path(path).parent, {Path(path).name: text})
 
@@ -286,7 +280,8 @@ def _sections(table: _Table) -> dict[str, Any]:
     length, tendons = quantity(table["length"], "length", "length"), []
     for number, own in enumerate(_tables(table, "tendons", "tendon"), 1):
         with within(f"tendon {number}", ValueError):
-            tendons.append(_tendon(own, length))
+            check_keys(own, ("offset",), ("side", "angle", *_TENDON_NUMBERS))
+            tendons.append(Tendon(side=own.get("side", 1), **_values(own, length, _TENDON_PROFILES)))
     return {"length": length, "tendons": tendons}
 
 
@@ -321,11 +316,6 @@ def _named(value: object, folder: Path) -> tuple[Path, float]:
         case {"file": str(file), "tolerance": str(tolerance), **rest} if not rest:
             return folder / file, quantity(tolerance, "length", f"{_SECTIONS}: tolerance")
     raise InputError(f'{_SECTIONS} must name a CSV file, "body.csv" or {{ file = "body.csv", tolerance = "10 um" }}')
-
-
-def _tendon(table: _Table, length: float) -> Tendon:
-    check_keys(table, ("offset",), ("side", "angle", *_TENDON_NUMBERS))
-    return Tendon(side=table.get("side", 1), **_values(table, length, _TENDON_PROFILES))
 
 
 def check_keys(table: _Table, required: Sequence[str], others: Sequence[str] = ()) -> None:

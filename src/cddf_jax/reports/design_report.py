@@ -22,7 +22,8 @@ def design_report(task: DesignTask, found: Design) -> Report:
             made["profile.csv"] = cross_sections_csv(found.manipulator)
         return made
 
-    return Report("design", text, answer, files, "" if found.success else _failure(answer))
+    failure = "" if found.success else f"the design is not done: {answer['result']}"
+    return Report("design", text, answer, files, failure)
 
 
 def trade_off_report(task: DesignTask, front: ParetoFront) -> Report:
@@ -36,11 +37,8 @@ def trade_off_report(task: DesignTask, front: ParetoFront) -> Report:
         robots = {f"design_{i}.toml": _manipulator_file(task, found) for i, found in feasible.items()}
         return {"pareto.md": text + "\n", "pareto": figure_of(figures.draw_trade_off(front))} | robots
 
-    return Report("pareto", text, answer, files, "" if front.success else _failure(answer))
-
-
-def _failure(answer: dict[str, object]) -> str:
-    return f"the design is not done: {answer['result']}"
+    failure = "" if front.success else f"the design is not done: {answer['result']}"
+    return Report("pareto", text, answer, files, failure)
 
 
 def _manipulator_file(task: DesignTask, found: Design) -> str:

@@ -161,7 +161,12 @@ def fit_as_markdown(
         ("Figures", _figures(drawn, missing or {})),
         ("How the files were read", _bullets(line for table in fit.tables for line in table.read_as)),
     ]
-    lines = [*_in_short(fit), "", *_goodness(fit), ""]
+    lines = [*_in_short(fit), ""]
+    if fit.moved_by_steps:
+        most = f"{max(fit.moved_by_steps.values()):.2g} of their standard errors"
+        lines.append(f"The increments of the history move the estimates by at most {most}.")
+    criteria = ", ".join(f"{name} {value:.5g}" for name, value in fit.information_criteria.items())
+    lines += [f"Reduced chi-square {fit.reduced_chi_square:.3g}; {criteria}.", ""]
     for title, own in sections:
         lines += [f"## {title}", "", *own, ""] if own else []
     foot = "results.json holds what is needed to repeat this fit: manipulator, options, checksums, versions.\n"
@@ -210,15 +215,6 @@ def parameter_rows(determination: Determination) -> list[list[str]]:
         numbers = f"{value:.5g} {unit}", f"{error:.2g} {unit}", f"{low:.5g} to {high:.5g} {unit}"
         rows.append([name, *numbers, "identified"])
     return rows
-
-
-def _goodness(fit: Fit) -> list[str]:
-    criteria = ", ".join(f"{name} {value:.5g}" for name, value in fit.information_criteria.items())
-    lines = []
-    if fit.moved_by_steps:
-        most = f"{max(fit.moved_by_steps.values()):.2g} of their standard errors"
-        lines.append(f"The increments of the history move the estimates by at most {most}.")
-    return [*lines, f"Reduced chi-square {fit.reduced_chi_square:.3g}; {criteria}."]
 
 
 def _correlation(fit: Fit) -> list[str]:

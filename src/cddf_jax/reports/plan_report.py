@@ -19,22 +19,20 @@ def plan_as_markdown(plan: Plan) -> str:
     lines = ["# What to measure next", "", f"- now: {_known_in_words(plan.now)}"]
     for i, ranked in enumerate(plan.chosen, 1):
         lines.append(f"- {i}. {ranked.candidate.name}: then {_known_in_words(ranked.expected)}")
+    rows = []
+    for ranked in plan.ranking:
+        names, expected = ranked.expected.names, ranked.expected
+        errors = ", ".join(f"{name} {error_in_words(expected, name)}" for name in names)
+        lost = ", ".join(name for name in names if expected.status[name] == NOT_IDENTIFIED)
+        gain = f"{ranked.gain:.2f}".replace("-0.00", "0.00")
+        rows.append([ranked.candidate.name, gain, errors, f"all but {lost}" if lost else "all"])
     head = ("candidate", "gain", "expected standard error", "identified")
-    lines += ["", *markdown_table(head, [_row(ranked) for ranked in plan.ranking])]
+    lines += ["", *markdown_table(head, rows)]
     gain = "growth of the logarithm of the determinant of the Fisher information (D-optimality)"
     if plan.criterion != "D":
         gain = f"fall of the logarithm of the standard error of {plan.criterion} (c-optimality)"
     lines += ["", f"Gain: {gain}, each candidate alone.", ""]
     return "\n".join(lines + [f"- warning: {r.candidate.name}: {text}" for r in plan.ranking for text in r.warnings])
-
-
-def _row(ranked: Ranked) -> list[str]:
-    expected = ranked.expected
-    errors = ", ".join(f"{name} {error_in_words(expected, name)}" for name in expected.names)
-    lost = [name for name in expected.names if expected.status[name] == NOT_IDENTIFIED]
-    identified = f"all but {', '.join(lost)}" if lost else "all"
-    gain = f"{ranked.gain:.2f}".replace("-0.00", "0.00")
-    return [ranked.candidate.name, gain, errors, identified]
 
 
 def _known_in_words(known: Determination) -> str:
@@ -46,16 +44,13 @@ def _known_in_words(known: Determination) -> str:
 
 def plan_as_dict(plan: Plan) -> dict[str, object]:
     """A plan for JSON, SI units; an infinite number becomes null there."""
+
+    def told(ranked: Ranked) -> dict[str, object]:
+        expected = ranked.expected
+        unit = {name: unit_of(name) for name in (*expected.names, *expected.combinations)}
+        numbers = picked(ranked, ("gain", "warnings")) | picked(expected, ("standard_error", "status", "combinations"))
+        return {"name": ranked.candidate.name, "unit": unit} | numbers
+
     now = picked(plan.now, ("value", "standard_error", "status"))
-    ranking, chosen = ([_ranked_as_dict(ranked) for ranked in some] for some in (plan.ranking, plan.chosen))
+    ranking, chosen = (list(map(told, some)) for some in (plan.ranking, plan.chosen))
     return {"criterion": plan.criterion, "now": now, "ranking": ranking, "chosen": chosen}
-
-
-def _ranked_as_dict(ranked: Ranked) -> dict[str, object]:
-    expected = ranked.expected
-    return {
-        "name": ranked.candidate.name,
-        **picked(ranked, ("gain", "warnings")),
-        "unit": {name: unit_of(name) for name in (*expected.names, *expected.combinations)},
-        **picked(expected, ("standard_error", "status", "combinations")),
-    }
