@@ -73,8 +73,6 @@ def test_a_wrong_manipulator(fails):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("solve", PAPER, "-t", "75"), "--base-tension needs a unit of force, got '75'; write for example '12.5 N'"),
-        (("solve", PAPER, *PULL, "--gravity", "0, -9.81 m/s^2"), f"{PAPER}: loads.gravity: the body has no weight"),
         (("fit", PAPER, PULLEY, "--noise", "pulling_tension=0 N"), "sigma of pulley_simulated.csv: pulling_tension mu"),
         (("reproduce", PAPER, LOAD_CELLS, "--column", "a=trial"), "load_cells_simulated.csv: no column 'a'"),
         (("reproduce", PAPER, PULLEY), "pulley_simulated.csv: the column tip_tension is missing"),

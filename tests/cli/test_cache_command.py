@@ -1,12 +1,8 @@
 """`cddf cache`: what is kept is shown and emptied."""
 
 import json
-import os
-import subprocess
-import sys
 
 import pytest
-from places import DATA
 
 from cddf_jax import application
 
@@ -26,19 +22,3 @@ def test_it_is_shown_and_emptied(cddf_command, tmp_path, monkeypatch):
 def test_a_folder_that_is_not_there_is_empty(cddf_command, tmp_path, monkeypatch, arguments):
     monkeypatch.setattr(application, "keep_programs", lambda: tmp_path / "none")
     assert cddf_command("cache", *arguments)[1].startswith(f"{tmp_path / 'none'}: 0 programs, 0.0 MB")
-
-
-@pytest.mark.slow
-def test_a_second_run_finds_its_programs_and_gives_the_same_answer(tmp_path):
-    environment = os.environ | {"JAX_COMPILATION_CACHE_DIR": str(tmp_path), "JAX_ENABLE_COMPILATION_CACHE": "true"}
-
-    def cddf(*arguments):
-        command = [sys.executable, "-c", "from cddf_jax.cli.app import main; main()", *map(str, arguments), "--json"]
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-        return json.loads(done.stdout)
-
-    solved = [(cddf("solve", DATA / "smooth_sil_940.toml", "-t", "75 N"), cddf("cache")) for _ in range(2)]
-    assert solved[0] == solved[1]  # and no program was added
-    assert solved[0][1]["programs"] > 0
-    # docs/theory.md (16), in double precision: a process of its own sets JAX up
-    assert solved[0][0]["tip_tension"] == pytest.approx([45.122927013148], rel=1e-8)

@@ -313,7 +313,6 @@ WRONG = [
     ((*TENSIONS, "--samples", "4", "--sample", "nodes=8:16"), "'nodes' is not a number of the body"),
     ((*TENSIONS, "--output", "tip_tention"), "sweep: 'tip_tention' is not an output"),
     (("--over", "base_tension=1N:2N:1000000000000"), "--over base_tension: 1000000000000 values are more than"),
-    ((*TENSIONS, "--gravity", "0, -9.81 m/s^2"), "loads.gravity: the body has no weight"),
     ((*TENSIONS, "--csv", "."), "--csv .: is a folder; give the name of a file"),
     ((*TENSIONS, "--csv", "x", "--netcdf", "x"), "--netcdf and --csv are both x"),
     ((*TENSIONS, "--csv", "x.csv", "--output", "tension"), "--csv x.csv: a table takes no outputs along the body"),

@@ -129,12 +129,6 @@ def test_a_slider_is_dragged(page):
     expect(page.locator(".slider-edit input").nth(index)).to_have_value(f"{left:.10g}", timeout=PATIENCE)
 
 
-def test_exact_numbers_are_typed(page):
-    type_number(page, "youngs_modulus", "1.2345")
-    type_number(page, "outer_radius.tip", "14.2")
-    assert follows(page, 75.0, youngs_modulus=1.2345e6, outer_radius=(0.020, 0.0142))
-
-
 def test_the_way_back_is_remembered_and_forgotten(page):
     """docs/hysteresis.md: 75, then 40 N; another body goes the same way, and the button makes it forget."""
     page.get_by_text("Drag the base tension back").wait_for()

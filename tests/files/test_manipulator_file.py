@@ -48,11 +48,8 @@ def assert_same_when_read_again(body, path, **options):
 # --- reading -------------------------------------------------------------------------------------
 
 
-def test_the_papers_body_gives_the_tension_of_the_closed_form():
-    body = read_manipulator(PAPER)
-    assert_identical(body, paper_body())
-    # T_tip at 75 N of the closed form with G(L) = 2.942783188998e4 m^-2, worked out apart from this package
-    assert cddf.solve(body, 75.0).tip_tension[0] == pytest.approx(45.122927013148, rel=1e-8)
+def test_the_papers_body():
+    assert_identical(read_manipulator(PAPER), paper_body())
 
 
 def test_optional_keys(tmp_path):
@@ -75,8 +72,7 @@ def test_friction_besides_that_of_curvature(tmp_path):
     (tendon,) = body.tendons
     assert (body.friction_moment, tendon.outside_friction, tendon.outside_drag) == (2e-3, 0.3, 0.5)
     assert (body.drag, tendon.drag) == (0.8, 300.0)
-    write_manipulator(body, tmp_path / "again.toml")
-    assert_identical(read_manipulator(tmp_path / "again.toml"), body)
+    assert_same_when_read_again(body, tmp_path / "again.toml")
     with pytest.raises(InputError, match="outside_drag must be 0 or more"):
         read(tmp_path, text + own.replace("0.5 N", "-0.5 N"))
 
@@ -109,8 +105,9 @@ def test_a_yield_strain_in_per_cent_or_as_a_fraction(tmp_path, written):
     ],
 )
 def test_forms_of_a_profile(tmp_path, form, profile):
-    text = TEXT.replace('{ base = "20 mm", tip = "13 mm" }', form)
-    assert_identical(read(tmp_path, text).outer_radius, profile)
+    body = read(tmp_path, TEXT.replace('{ base = "20 mm", tip = "13 mm" }', form))
+    assert_identical(body.outer_radius, profile)
+    assert_same_when_read_again(body, tmp_path / "again.toml")
 
 
 CASES = [
@@ -250,28 +247,6 @@ def test_bad_files_of_bodies_in_space(tmp_path, old, new, message):
 # --- round trips ---------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("shape", range(6))
-def test_round_trip_to_the_last_bit(tmp_path, shape):
-    """Sound bodies whose numbers no decimal unit makes round; `shape` picks the kind of outer radius."""
-    rng, kinematics = np.random.default_rng(shape), ("exact", "published")[shape % 2]
-    (length, size), phase = 10.0 ** rng.uniform(-3, 3, 2), rng.random()
-    knots = np.linspace(0, 1, 5) * length * (1 + 0.1 * phase)
-    waves = size * (1 + 0.1 * np.sin(np.arange(5) + 6 * phase))
-    radius = [
-        cddf.Constant(size),
-        cddf.Linear(size, 0.9 * size, length),
-        cddf.Linear(size, 0.9 * size, 1.1 * length),
-        cddf.Piecewise.linear(knots, waves),
-        cddf.Piecewise([length / 3], [cddf.Constant(size), cddf.Linear(size, 0.8 * size, length)]),
-        cddf.Spline(knots, waves),
-    ][shape]
-    bowed = cddf.Tendon(cddf.Spline(knots, 0.5 * waves), -1, 0.7 * length, phase, 1e9 * rng.random(), rng.random())
-    tendons, numbers = [bowed, cddf.Tendon(0.6 * size)], (1e8 * size, phase, 1e3 * phase, kinematics)
-    body = cddf.Manipulator(length, radius, 0.2 * phase * size, tendons, *numbers)
-    assert_same_when_read_again(body, tmp_path / "round_trip.toml")
-
-
 def test_what_is_written_is_for_people(tmp_path):
     write_manipulator(read_manipulator(PAPER), tmp_path / "body.toml")
     lines = (tmp_path / "body.toml").read_text().splitlines()
@@ -297,13 +272,3 @@ def test_profiles_of_another_kind_are_refused(tmp_path):
     body = replace(read_manipulator(PAPER), outer_radius=Bulge())
     with pytest.raises(InputError, match=r"outer_radius: a profile of type Bulge cannot be written .*; sample it into"):
         write_manipulator(body, tmp_path / "body.toml")
-
-
-def test_arguments_in_the_wrong_order_are_named(tmp_path):
-    body, path = read_manipulator(PAPER), tmp_path / "body.toml"
-    said = "write_manipulator needs a Manipulator and a path, in this order, got "
-    with pytest.raises(TypeError, match=f"^{said}PosixPath and Manipulator$"):
-        write_manipulator(path, body)  # type: ignore[arg-type]
-    with pytest.raises(TypeError, match=f"^{said}str and str$"):
-        write_manipulator("body", str(path))  # type: ignore[arg-type]
-    assert not path.exists()
