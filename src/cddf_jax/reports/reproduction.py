@@ -1,8 +1,9 @@
 """The figures and numbers of Liu et al. (2020), section IV, computed here, beside those that the paper prints."""
 
 import itertools
+from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -70,11 +71,8 @@ def reproduce(manipulator: Manipulator, load_cells: Measurements) -> Report:
         "fig8_tip_tension": tip_tension_figure(results),
     }
     rows = compared_numbers(results)
-    numbers = ("the paper", "ours", "difference")
-    lines = markdown_table(("quantity", *numbers, "note"), [row.cells() for row in rows], right=numbers)
-    text = "\n".join(["# Liu et al. (2020), section IV, reproduced", "", *lines]) + "\n"
-    answer: dict[str, object] = {"table": [row._asdict() | {"difference": row.difference} for row in rows]}
-    return Report("reproduction", text, answer, lambda: {"reproduction.md": text, **figures})
+    text = compared_in_words(rows)
+    return Report("reproduction", text, {"table": rows}, lambda: {"reproduction.md": text, **figures})
 
 
 @stage("solving")
@@ -184,41 +182,37 @@ def tip_tension_figure(results: PaperResults) -> Figure:
 # --- table ---------------------------------------------------------------------------------------
 
 
-class ComparedNumber(NamedTuple):
-    """One number of the paper beside ours: a fraction, or where the paper has a whole number a count."""
+def compared_numbers(results: PaperResults) -> list[dict[str, Any]]:
+    """The numbers that section IV of the paper prints beside ours: fractions, or where they are whole numbers counts.
 
-    name: str
-    quantity: str
-    paper: float
-    ours: float
-    note: str
-    comparable: bool = True
-
-    @property
-    def difference(self) -> float | None:
-        return self.ours - self.paper if self.comparable else None
-
-    def cells(self) -> list[str]:
-        """The cells of its row in the table."""
-        numbers, count = (self.paper, self.ours, self.difference), isinstance(self.paper, int)
-        shown = ("-" if n is None else f"{n:.0f}" if count else f"{100 * n:.2f} %" for n in numbers)
-        return [self.quantity, *shown, self.note]
-
-
-def compared_numbers(results: PaperResults) -> list[ComparedNumber]:
-    """The numbers that section IV of the paper prints."""
+    The difference of numbers that cannot be compared is None.
+    """
     loss = 1 - results.tip_tension[np.searchsorted(PULLS, PULL)] / PULL
     updates = int(results.history.num_updates)
     levels = len(by_level(results.base_tension, results.observed)[0])
     there = results.observed > 0
     error = float(np.mean(np.abs(results.predicted[there] / results.observed[there] - 1)))
-    return [
-        ComparedNumber("tension_loss", f"tension loss at {PULL:g} N", 0.40, loss,
+    rows = [
+        ("tension_loss", f"tension loss at {PULL:g} N", 0.40, loss, True,
             'the paper: "about 40 %"; the difference is in percentage points'),
-        ComparedNumber("iterations", f"iterations at {PULL:g} N", 6, updates + 1,
+        ("iterations", f"iterations at {PULL:g} N", 6, updates + 1, True,
             f'the paper: "6 iterations", which counts the start; ours: the start and {updates} updates'),
-        ComparedNumber("levels", "levels of base tension", 18, levels,
+        ("levels", "levels of base tension", 18, levels, True,
             "5 to 85 N in 5 N steps, as the paper says too, are 17 levels"),
-        ComparedNumber("mean_error", "mean error of the tip tension", 0.1466, error,
-            f"not comparable: the paper's is against its measured trials, ours against {results.trials}", False),
+        ("mean_error", "mean error of the tip tension", 0.1466, error, False,
+            f"not comparable: the paper's is against its measured trials, ours against {results.trials}"),
     ]  # fmt: skip
+    numbers = [dict(zip(("name", "quantity", "paper", "ours", "comparable", "note"), row, strict=True)) for row in rows]
+    return [each | {"difference": each["ours"] - each["paper"] if each["comparable"] else None} for each in numbers]
+
+
+def compared_in_words(rows: Sequence[Mapping[str, Any]]) -> str:
+    """The table of these numbers."""
+    numbers, table = ("paper", "ours", "difference"), []
+    for row in rows:
+        count = isinstance(row["paper"], int)
+        shown = ["-" if (n := row[name]) is None else f"{n:.0f}" if count else f"{100 * n:.2f} %" for name in numbers]
+        table.append([row["quantity"], *shown, row["note"]])
+    heads = ("the paper", *numbers[1:])
+    lines = markdown_table(("quantity", *heads, "note"), table, right=heads)
+    return "\n".join(["# Liu et al. (2020), section IV, reproduced", "", *lines]) + "\n"
