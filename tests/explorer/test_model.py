@@ -230,7 +230,7 @@ def test_only_what_the_data_identify_is_taken_over(monkeypatch):
     intervals = {"friction_coefficient": (0.4812, 0.5212), "youngs_modulus": (0.0, np.inf)}
     monkeypatch.setattr(type(pn.state), "onload", lambda *_: None)
     with set_curdoc(Document()), Threads() as idle:
-        view = ExplorerView(Exploration(paper_body("exact")), print, idle)
+        view = ExplorerView(Exploration(paper_body("exact")), idle)
     monkeypatch.setattr(view, "change", lambda: None)
     for known, offered in (("identified", True), ("not identified", False)):
         status = {"friction_coefficient": known, "youngs_modulus": "not identified"}

@@ -3,7 +3,6 @@
 import asyncio
 import webbrowser
 from collections.abc import Callable, Sequence
-from html import escape
 from typing import Any
 
 import panel as pn
@@ -17,6 +16,7 @@ from ..robot.manipulator import Manipulator, conical
 from .model import Exploration
 from .parts import STYLES, column
 from .view import ExplorerView, Threads
+from .words import paragraph
 
 ADDRESS = "127.0.0.1"  # this machine alone
 TITLE = "cddf explorer"
@@ -37,29 +37,21 @@ def papers_manipulator() -> Manipulator:
 
 def page_of(exploration: Exploration, source: str, threads: Threads) -> pn.Column:
     """One browser's page: a head that names manipulator and data, a line for what is wrong, and the view."""
-    head = pn.pane.HTML("", stylesheets=STYLES, margin=(0, 8))
-    notice = pn.pane.HTML("", stylesheets=STYLES, sizing_mode="stretch_width", css_classes=["notice"])
-
-    def say(text: str) -> None:
-        notice.object = f'<p role="alert">{_escaped(text)}</p>' if text else ""
-
-    parts = ExplorerView(exploration, say, threads).parts
+    view = ExplorerView(exploration, threads)
+    parts = view.parts
     for name, part in parts.items():
         part.css_classes = [*part.css_classes, name]  # it may have a class already
     data = ", ".join(table.name for table in exploration.tables) or "no data"
-    notes = [f"<p>{_escaped(line)}</p>" for line in exploration.notes]
-    head.object = f"<h1>{TITLE}</h1><p>{_escaped(source)}; {_escaped(data)}</p>{''.join(notes)}"
-    return column(head, notice, column(*parts.values(), css_classes=["places"]), css_classes=["whole"])
+    lines = [f"{source}; {data}", *exploration.notes]
+    text = f"<h1>{TITLE}</h1>{''.join(map(paragraph, lines))}"
+    head = pn.pane.HTML(text, stylesheets=STYLES, margin=(0, 8))
+    return column(head, view.notice, column(*parts.values(), css_classes=["places"]), css_classes=["whole"])
 
 
 def tell_unless_closed(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
     """What goes wrong in the loop is told, but for a message to a page that was closed while it was computed."""
     if not isinstance(context.get("exception"), WebSocketClosedError):
         loop.default_exception_handler(context)
-
-
-def _escaped(text: str) -> str:
-    return escape(" ".join(text.split()))
 
 
 def serve(

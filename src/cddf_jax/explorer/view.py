@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from functools import partial
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 import panel as pn
 
@@ -36,8 +36,6 @@ FILES = {
 }
 SLIDES = {"as found": 0, "slides in": 1, "slides out": -1}
 
-Say: TypeAlias = Callable[[str], None]  # what is wrong; "" for nothing
-
 
 class Threads(ExitStack):
     """Four threads, so that quick work never waits for long work such as compiling."""
@@ -57,8 +55,8 @@ class ExplorerView:
     Every change is solved on another thread and then drawn. If sliders move faster than that, old changes are left out.
     """
 
-    def __init__(self, exploration: Exploration, say: Say, threads: Threads):
-        self.exploration, self.say, self.threads = exploration, say, threads
+    def __init__(self, exploration: Exploration, threads: Threads):
+        self.exploration, self.threads = exploration, threads
         assert pn.state.curdoc is not None
         self.document = pn.state.curdoc
         self.settings: Settings = exploration.start
@@ -101,7 +99,7 @@ class ExplorerView:
             widget.param.watch(lambda _: self.change(), "value")
 
     def _make_words(self) -> None:
-        self.numbers, self.verdict, self.past_text = map(words, ("numbers", "verdict", "past"))
+        self.notice, self.numbers, self.verdict, self.past_text = map(words, ("notice", "numbers", "verdict", "past"))
         self.forget_button = pn.widgets.Button(name="Forget the past", on_click=lambda _: self.forget())
         self.fit_button = pn.widgets.Button(name="Fit friction and modulus", button_type="primary")
         self.fit_button.disabled = not self.exploration.tables
@@ -239,7 +237,7 @@ class ExplorerView:
         self.tension.follow(tendon)
         self.tension.show_now(picture)
         self.numbers.object = numbers_html(picture)
-        self.say(picture.message)
+        self._say(picture.message)
 
     def _done(self, settings: Settings, parts: Iterable[str]) -> None:
         """Mark parts as computed, unless there are newer settings."""
@@ -258,7 +256,11 @@ class ExplorerView:
         """Say what is wrong; the last good picture stays, in grey."""
         self._mark("computing", False, self.drawn)
         self._mark_stale(on=True)
-        self.say(message)
+        self._say(message)
+
+    def _say(self, text: str) -> None:
+        """What is wrong; "" for nothing."""
+        self.notice.object = f'<div role="alert">{paragraph(text)}</div>' if text else ""
 
     # --- the fit ---------------------------------------------------------------------------------
 

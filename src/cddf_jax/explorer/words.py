@@ -55,7 +55,7 @@ def numbers_html(picture: Picture) -> str:
 
 
 def paragraph(text: str) -> str:
-    return f"<p>{escape(text)}</p>"
+    return f"<p>{escape(' '.join(text.split()))}</p>"
 
 
 def loop_html(loop: Loop, tendon: int = 0) -> str:
