@@ -48,5 +48,4 @@ def explore(
         server.PAPER if robot is None else in_utf8(robot),
         port=port,
         browser=not no_browser,
-        say=typer.echo,
     )

@@ -166,22 +166,13 @@ def print_answer(text: str, answer: object, *, as_json: bool) -> None:
     typer.echo(in_utf8(text))
 
 
-def give(
-    report: "Report",
-    out: Path | None,
-    *,
-    as_json: bool,
-    code: int = FAILED,
-    export: Callable[[], None] | None = None,
-) -> None:
+def give(report: "Report", out: Path | None, *, as_json: bool, code: int = FAILED) -> None:
     """Write a report to the folder of `--out`, print it, and end the command with an exit code if it failed.
 
-    `export` writes what else is asked for. What cannot be written is said; the answer is printed all the same.
+    What cannot be written is said; the answer is printed all the same.
     """
     try:
         with within("not written"):
-            if export is not None:
-                export()
             if out is not None:
                 report.write(out)
     finally:

@@ -2,7 +2,6 @@
 
 import os
 import sys
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -170,9 +169,8 @@ def sweep(
         found = sweep_report.run_sweep(work, store, context.params)
         if found is None:
             return
-        export = partial(sweep_report.write_exports, work, found[0], netcdf, csv)
-        report = sweep_report.sweep_report(work, *found, store.stem)
-        options.give(report, store.parent, as_json=as_json, export=export)
+        report = sweep_report.sweep_report(work, *found, store.stem, netcdf, csv)
+        options.give(report, store.parent, as_json=as_json)
     except KeyboardInterrupt:
         remedy = "what is in the store stays there, start the same command again and it goes on"
         options.stop(f"interrupted; {remedy}", options.INTERRUPTED)

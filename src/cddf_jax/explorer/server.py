@@ -2,7 +2,7 @@
 
 import asyncio
 import webbrowser
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import panel as pn
@@ -54,16 +54,8 @@ def tell_unless_closed(loop: asyncio.AbstractEventLoop, context: dict[str, Any])
         loop.default_exception_handler(context)
 
 
-def serve(
-    robot: RobotFile,
-    tables: Sequence[Measurements],
-    source: str,
-    *,
-    port: int = 0,
-    browser: bool = True,
-    say: Callable[[str], None] = print,
-) -> None:
-    """Serve the page on this machine alone until Ctrl-C.
+def serve(robot: RobotFile, tables: Sequence[Measurements], source: str, *, port: int, browser: bool) -> None:
+    """Serve the page on this machine alone until Ctrl-C; its address is printed once it is ready.
 
     Args:
         robot: the body and its gravity.
@@ -71,7 +63,6 @@ def serve(
         source: the origin of the robot, in words for the page.
         port: 0 for a free one.
         browser: whether to open it.
-        say: called with a line that has the address, once the page is ready.
 
     Raises:
         InputError: for a table or a gravity that does not fit the manipulator, or a port that is not available.
@@ -85,7 +76,7 @@ def serve(
         except OSError as error:
             raise InputError(f"--port {port}: {error.strerror}; give another, or leave it out for a free one") from None
         url = f"http://localhost:{server.port}/"
-        say(f"{url}  (Ctrl-C ends it)")
+        print(f"{url}  (Ctrl-C ends it)", flush=True)
         if browser:
             server.io_loop.add_callback(webbrowser.open, url)
         server.io_loop.add_callback(lambda: asyncio.get_running_loop().set_exception_handler(tell_unless_closed))

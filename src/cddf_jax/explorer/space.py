@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from bokeh.events import Pan, PanStart
@@ -41,6 +41,9 @@ WALL = "#DDDDDD"
 RINGS_APART = 4  # arc lengths
 
 
+Place: TypeAlias = tuple[float, ...]  # or a direction, with three components
+
+
 class Row(NamedTuple):
     """A line or a point of a picture, mm, as space.js takes it."""
 
@@ -50,7 +53,7 @@ class Row(NamedTuple):
     dash: tuple[int, ...] = ()
     width: float = 1.0
     text: str = ""
-    side: tuple[float, ...] = (0.0, 0.0, 0.0)  # of the floor, at which an edge or an upright is
+    side: Place = (0.0, 0.0, 0.0)  # of the floor, at which an edge or an upright is
 
 
 def columns_of_rows(rows: Iterable[Row]) -> Columns:
@@ -105,7 +108,7 @@ class SpacePlot:
             self.figure.js_on_event(event, turn)
 
     def _sees(
-        self, fig: Plot, what: Mapping[str, Sequence[str]], azimuth: Any, elevation: Any, center: tuple[float, ...]
+        self, fig: Plot, what: Mapping[str, Sequence[str]], azimuth: Any, elevation: Any, center: Place
     ) -> dict[str, ColumnDataSource]:
         """The sources of a figure with its direction of view; the browser updates them."""
         seen = {name: ColumnDataSource({column: [] for column in columns}) for name, columns in what.items()}
@@ -236,31 +239,23 @@ def load_rows(what: Drawn) -> list[Row]:
 
 def floor_rows(length: float, square: float) -> list[Row]:
     """Squares below a straight body along X, with scales at their edges and on posts at the corners, all mm."""
+
+    def scale(kind: str, axis: int, numbers: np.ndarray, name_at: float, start: Place, side: Place) -> list[Row]:
+        """Numbers along an axis through `start`, beside it, and the name of the axis in place of one of them."""
+        words = {at: (f"{at:g}", GREY) for at in numbers} | {name_at: (f"{'XYZ'[axis]} (mm)", BLACK)}
+        beside, along = np.array(start) + 0.06 * length * np.array(side), np.eye(3)[axis]
+        return [Row(kind, beside + at * along, color, text=text, side=side) for at, (text, color) in words.items()]
+
     ahead, aside, below = (square * np.ceil(part * length / square) for part in (AHEAD, ASIDE, BELOW))
     x, y, z = (np.arange(low, high, square) for low, high in ((0.0, ahead), (-aside, aside), (-below, below)))
     rows = [Row("floor", np.array([0.0, 0.0, -below]))]
     rows += [Row("grid", np.array([[at, -aside, -below], [at, aside, -below]]), PALE) for at in (*x, ahead)]
     rows += [Row("grid", np.array([[0.0, at, -below], [ahead, at, -below]]), PALE) for at in (*y, aside)]
     for way, end in ((-1, 0.0), (1, ahead)):
-        rows += _scale("edge", "X", [*x[1:]], 0.0, (0.0, way * aside, -below), (0, way, 0), length)
-        rows += _scale("edge", "Y", [at for at in y[1:] if at], 0.0, (end, 0.0, -below), (way, 0, 0), length)
+        rows += scale("edge", 0, x[1:], 0.0, (0.0, way * aside, -below), (0, way, 0))
+        rows += scale("edge", 1, y[1:], 0.0, (end, 0.0, -below), (way, 0, 0))
         for other in (-1, 1):
             corner, side = (end, other * aside, 0.0), (way * SLANT, other * SLANT, 0)
             rows.append(Row("post", corner + np.outer([-below, below], np.eye(3)[2]), PALE, side=side))
-            rows += _scale("post", "Z", [*z[1:]], below, corner, side, length)
+            rows += scale("post", 2, z[1:], below, corner, side)
     return rows
-
-
-def _scale(
-    kind: str,
-    axis: str,
-    numbers: Sequence[float],
-    name_at: float,
-    start: tuple[float, ...],
-    side: tuple[float, ...],
-    length: float,
-) -> list[Row]:
-    """Numbers along an axis through `start`, beside it, and the name of the axis in place of one of them."""
-    words = {at: (f"{at:g}", GREY) for at in numbers} | {name_at: (f"{axis} (mm)", BLACK)}
-    beside, along = np.array(start) + 0.06 * length * np.array(side), np.eye(3)["XYZ".index(axis)]
-    return [Row(kind, beside + at * along, color, text=text, side=side) for at, (text, color) in words.items()]

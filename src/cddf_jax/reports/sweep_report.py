@@ -105,17 +105,10 @@ def _there_already(work: Sweep, store: Path) -> int:
     return sum(count(region) for region in opened.layout.regions() if opened.has(region))
 
 
-@stage("writing")
-def write_exports(work: Sweep, answer: "xarray.Dataset", netcdf: Path | None, csv: Path | None) -> None:
-    """Write the answer as NetCDF and as a table, where a place is given for them."""
-    if netcdf is not None:
-        write_netcdf(answer, netcdf)
-    if csv is not None:
-        write_csv(work.layout, answer, csv)
-
-
-def sweep_report(work: Sweep, answer: "xarray.Dataset", summary: Json, name: str) -> Report:
-    """The summary of `run_sweep` and the figures; it says why there is no figure."""
+def sweep_report(
+    work: Sweep, answer: "xarray.Dataset", summary: Json, name: str, netcdf: Path | None, csv: Path | None
+) -> Report:
+    """The summary of `run_sweep`, the figures or why there is none, and the answer in the files that are named."""
     drawn, no_figure = [output for output in work.outputs if is_short(answer[output])], ""
     made: dict[str, Content] = {}
     try:
@@ -126,9 +119,18 @@ def sweep_report(work: Sweep, answer: "xarray.Dataset", summary: Json, name: str
     if tips is not None and tips.sizes["component"] == 3 and bool(tips.notnull().all("component").any()):
         with suppress(InputError):  # no number varies
             made[f"{name}_workspace"] = figures.workspace_figure(answer)
+
+    @stage("writing")
+    def files() -> Mapping[str, Content]:
+        if netcdf is not None:
+            write_netcdf(answer, netcdf)
+        if csv is not None:
+            write_csv(work.layout, answer, csv)
+        return made
+
     told: Json = summary | {"no_figure": no_figure}
     failure = "" if "successful" in summary["results"] else "no solve was successful; see the results"
-    return Report(name, summary_in_words(told), told, lambda: made, failure)
+    return Report(name, summary_in_words(told), told, files, failure)
 
 
 def _axes(work: Sweep) -> list[Json]:
