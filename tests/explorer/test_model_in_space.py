@@ -11,7 +11,7 @@ from places import DATA
 
 import cddf_jax as cddf
 from cddf_jax.explorer.model import Exploration
-from cddf_jax.explorer.space import SpacePlot, body_rows, floor_rows, load_rows, tendon_rows
+from cddf_jax.explorer.space import SpacePlot, body_rows, floor_rows
 from cddf_jax.explorer.words import numbers_html
 from cddf_jax.figures.geometry import Body, Drawn, stations
 from cddf_jax.files.manipulator_file import read_robot_file
@@ -156,17 +156,6 @@ def test_a_force_out_of_the_plane_is_that_of_the_table():
     np.testing.assert_allclose(1e3 * picture.equilibrium.tip_position, expected, atol=1e-6)
 
 
-def test_rows_hold_the_straight_body_and_its_tendons(three):
-    rows = [*body_rows(straight(three.manipulator)), *tendon_rows(straight(three.manipulator))]
-    rings = of(rows, "ring")
-    np.testing.assert_allclose([rings[0].points[0], rings[-1].points[0]], [[0, 15, 0], [200, 12, 0]], atol=1e-12)
-    ends = np.stack([row.points for row in of(rows, "end")])
-    np.testing.assert_allclose(ends, [[200, 9, 0], [200, -4.5, 7.794229], [200, -4.5, -7.794229]], atol=1e-6)
-    assert [row.text for row in of(rows, "name")] == ["1", "2", "3"]
-    looks = {(row.color, row.dash) for row in of(rows, "tendon")}
-    assert len({color for color, _ in looks}) == len({dash for _, dash in looks}) == 3
-
-
 def test_the_axis_with_its_past_is_sent_and_taken_away(three):
     plot, axis = SpacePlot(three.manipulator), np.linspace([0.0, 0.0, 0.0], [0.2, 0.0, 0.0], 5)
     plot.now = body_rows(straight(three.manipulator))
@@ -184,14 +173,6 @@ def test_a_step_of_the_body_has_a_ring_on_both_sides(three):
     rings = of(body_rows(straight(replace(three.manipulator, outer_radius=radius))), "ring")
     near = [ring.points[0, 1] for ring in rings if abs(ring.points[0, 0] - 70.0) < 1e-3]
     assert {15.0, 12.0} == {round(y, 9) for y in near}
-
-
-def test_loads_are_arrows_at_the_tip(three):
-    loads = cddf.Loads((0.0, 0.0, -2.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.0))
-    force, moment = load_rows(straight(three.manipulator, loads))
-    np.testing.assert_allclose(force.points, [[200, 0, 0], [200, 0, -40]], atol=1e-9)  # a fifth of 200 mm
-    np.testing.assert_allclose(moment.points[:, 1], 0.0, atol=1e-9)  # turns about Y
-    assert load_rows(straight(three.manipulator)) == []
 
 
 def test_the_floor_has_numbers_in_mm():
