@@ -187,7 +187,7 @@ def test_the_residuals_stand_below_the_data(fit):
         (lambda it: figures.draw_lines(it("grid"), "x", "base_tension"), "draw_lines: 'x' is not an output of this"),
         (lambda it: figures.draw_lines(it("grid"), "tip_tension", "length"), "draw_lines: 'length' is not a number"),
         (lambda it: figures.draw_map(it("grid"), "tip_position", *NUMBERS), "draw_map: component varies too, with 2"),
-        (lambda it: figures.draw_map(it("grid"), "stable", *2 * NUMBERS[:1]), "draw_map: x and y"),
+        (lambda it: figures.draw_map(it("grid"), "stable", NUMBERS[0], NUMBERS[0]), "draw_map: x and y"),
     ],
 )
 def test_a_wrong_name_gives_one_clear_line(draw, message, request):
