@@ -19,9 +19,7 @@ def reproduce(
     ],
     column: options.Column = None,
     as_json: options.AsJson = False,
-    out: Annotated[Path, typer.Option(help="Folder for the figures and the table.", callback=options.writable)] = Path(
-        "out/reproduce"
-    ),
+    out: options.Out = Path("out/reproduce"),
 ) -> None:
     """The figures of Liu et al. (2020), and a table of its numbers beside ours."""
     read = options.read_robot(robot, None)

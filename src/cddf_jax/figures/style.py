@@ -1,7 +1,7 @@
 """The house style, and drawing from plain arrays."""
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from io import BytesIO
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -36,11 +36,9 @@ METADATA: dict[str, dict[str, None]] = {"pdf": {"CreationDate": None}, "png": {"
 STYLE = Path(__file__).with_name("house.mplstyle")
 
 
-@contextmanager
-def house_style() -> Iterator[None]:
+def house_style() -> AbstractContextManager[None]:
     """The house style within the block, nothing changed outside it."""
-    with context(STYLE, after_reset=True):
-        yield
+    return context(STYLE, after_reset=True)
 
 
 class HouseFigure(Figure):
