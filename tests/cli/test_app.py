@@ -52,12 +52,9 @@ def test_help_imports_nothing_heavy():
     ("arguments", "message"),
     [
         ((), "Missing command. Try --help."),
-        (("bend",), "No such command 'bend'"),
-        (("fit", PAPER), "Missing argument 'data'"),
         (("solve", PAPER), "Missing option '--base-tension' / '-t'"),
         (("solve", PAPER, *PULL, "--bogus"), "No such option: --bogus"),
         (("solve", PAPER, *PULL, "--nodes", "3"), "Invalid value for '--nodes'"),
-        (("solve", PAPER, *PULL, "--kinematics", "other"), "Invalid value for '--kinematics'"),
     ],
 )
 def test_wrong_usage(fails, arguments, message):

@@ -19,7 +19,6 @@ from cddf_jax.explorer.model import NUM_PULLS, Exploration
 from cddf_jax.explorer.plots import TensionPlots
 from cddf_jax.explorer.words import numbers_html
 from cddf_jax.quantities import QUANTITIES
-from cddf_jax.reports.export import fields_csv
 from cddf_jax.robot.profiles import Linear, Piecewise, Spline
 from cddf_jax.robot.reshape import tapered
 
@@ -244,19 +243,11 @@ def test_only_what_the_data_identify_is_taken_over(monkeypatch):
     assert view.sliders["youngs_modulus"].value == 1.4
 
 
-def test_files_hold_what_is_shown(explored, picture, tmp_path):
+def test_the_file_holds_the_body_that_is_shown(explored, picture, tmp_path):
     path = tmp_path / "body.toml"
     path.write_text(explored.toml(picture.case))
     radius = of_kind(cddf.Linear, cddf.read_manipulator(path).outer_radius)
     assert (radius.base, radius.tip) == (0.018, 0.015)
-    text = fields_csv(picture.along, ["a note"]).splitlines()
-    assert text[0] == "# a note"
-    header, rows = text[1].split(","), np.array([line.split(",") for line in text[2:]], float)
-    assert header[:2] == ["arc_length [m]", "x [m]"]
-    tension = rows[:, header.index("tension_1 [N]")]
-    assert tension[0] == pytest.approx(60.0, rel=1e-9)
-    assert tension[-1] == pytest.approx(float(picture.equilibrium.tip_tension[0]), rel=1e-9)
-    assert rows[-1, 0] == pytest.approx(0.140)
 
 
 # --- the command ----------------------------------------------------------------------------------
