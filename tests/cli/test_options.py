@@ -69,10 +69,7 @@ def test_a_place_of_the_tip_with_limits():
         ("mu=0.4", "'mu=0.4': unknown target 'mu'; known are displacement, tip_angle, tip_tension, curvature, "),
         ("tip_position=0.1 m", "--base-tension tip_position needs two components X, Y, or three in space, got '0.1 m'"),
         ("tip_position=1, 2, 3 mm", "'tip_position=1, 2, 3 mm': 3 components given; this body needs 2"),
-        (
-            "tip_position=1, 2 mm from 3 N to 2 N",
-            "give a least tension of 0 N or more, and a largest",
-        ),
+        ("tip_position=1, 2 mm from 3 N to 2 N", "give a least tension of 0 N or more, and a largest"),
         ("tip_tension=-4 N", "'tip_tension=-4 N': a tendon cannot push; give 0 N or more"),
         ("tip_stiffness=0 N/m", "'tip_stiffness=0 N/m': a stiffness is positive; give more than 0 N/m"),
         ("curvature=8 1/m", "say where the curvature is wanted as in 'curvature=12 1/m at 70 mm'"),
@@ -136,11 +133,7 @@ def test_loads_at_places_of_the_body():
         ("--tip-force", "0, -5", " X needs a unit of force, got '0'; write for example '12.5 N'"),
         ("--tip-force", "0 N,", " Y is not a number, got ''; write for example '12.5 N'"),
         ("--tip-moment", "0.1", " needs a unit of moment, got '0.1'; write for example '12.5 N m'"),
-        (
-            "--tip-moment",
-            "0.1 N m, 0",
-            " is one number in the plane and three in space, got '0.1 N m, 0'",
-        ),
+        ("--tip-moment", "0.1 N m, 0", " is one number in the plane and three in space, got '0.1 N m, 0'"),
         ("--gravity", "0, -9.81 m", " X needs a unit of acceleration, got '0 m'; write for example '12.5 m/s^2'"),
     ],
 )

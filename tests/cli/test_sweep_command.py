@@ -25,6 +25,7 @@ PAPER = DATA / "smooth_sil_940.toml"
 LENGTH, G = 0.14, 2.942783188998e4  # m, m^-2, docs/theory.md (16)
 TENSIONS = ("--over", "base_tension=5N:85N:5")
 FRICTIONS = ("--over", "friction_coefficient=0.1:0.6:4")
+PAIR = ("--together", "base_tension,friction_coefficient")
 
 
 @pytest.fixture
@@ -295,14 +296,8 @@ WRONG = [
     (("--over", "base_tension=5N:85N:1"), "--over base_tension: write first, last and how many"),
     ((*TENSIONS, *TENSIONS), "--over base_tension is given twice; leave one out"),
     ((*TENSIONS, "--together", "base_tension"), "--together 'base_tension': name two axes or more, each once, as in "),
-    (
-        (*TENSIONS, "--together", "base_tension,youngs_modulus"),
-        "--together 'base_tension,youngs_modulus': there is no --over youngs_modulus; give it its values there",
-    ),
-    (
-        (*TENSIONS, *FRICTIONS, *(2 * ("--together", "base_tension,friction_coefficient"))),
-        "--together 'base_tension,friction_coefficient': base_tension varies together with others already; name all",
-    ),
+    ((*TENSIONS, "--together", "base_tension,x"), "--together 'base_tension,x': there is no --over x; give it its"),
+    ((*TENSIONS, *FRICTIONS, *2 * PAIR), f"--together '{PAIR[1]}': base_tension varies together with others already"),
     ((*TENSIONS, "-t", "5 N"), "sweep: base_tension is given and an axis; leave one out"),
     ((*TENSIONS, "--over", "kinematics=exact", "--kinematics", "exact"), "kinematics is given by --kinematics and "),
     ((*TENSIONS, "--samples", "5"), "--samples 5: nothing is sampled"),
