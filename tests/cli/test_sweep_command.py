@@ -294,6 +294,7 @@ WRONG = [
     (("--over", "base_tension"), "--over 'base_tension': write for example "),
     (("--over", "base_tension=5:85:17 N"), "--over base_tension: write first, last and how many, 2 or more, as in "),
     (("--over", "base_tension=5N:85N:1"), "--over base_tension: write first, last and how many"),
+    (("--over", "base_tension=5N:85"), "--over base_tension: write first, last and how many"),
     ((*TENSIONS, *TENSIONS), "--over base_tension is given twice; leave one out"),
     ((*TENSIONS, "--together", "base_tension"), "--together 'base_tension': name two axes or more, each once, as in "),
     ((*TENSIONS, "--together", "base_tension,x"), "--together 'base_tension,x': there is no --over x; give it its"),

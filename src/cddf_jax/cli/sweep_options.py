@@ -84,16 +84,15 @@ def _joined(values: Mapping[str, object], together: Sequence[str]) -> dict[str, 
 
 def _range(name: str, text: str, dimension: units.Dimension) -> np.ndarray:
     """One number, or an even range."""
-    what = f"--over {name}"
-    if ":" not in text:
+    what, (*ends, count) = f"--over {name}", text.split(":")
+    if not ends:
         return np.array([units.quantity(text, dimension, what)])
-    ends, _, count = text.rpartition(":")
-    if not count.strip().isdigit() or int(count) < 2:
+    if len(ends) != 2 or not count.strip().isdecimal() or int(count) < 2:
         example = _example(name, dimension)
         raise InputError(f"{what}: write first, last and how many, 2 or more, as in {example}:11, got {text!r}")
     if int(count) > MOST:
         raise InputError(f"{what}: {count} values are more than the {MOST:,} that one axis may have; give fewer")
-    start, stop = (units.quantity(end.strip(), dimension, what) for end in ends.split(":", 1))
+    start, stop = (units.quantity(end.strip(), dimension, what) for end in ends)
     return np.linspace(start, stop, int(count))
 
 
