@@ -163,9 +163,20 @@ def test_one_value_is_no_axis():
     assert set(render(figure, "sweep")) == {"sweep.pdf", "sweep.png"}
 
 
-def test_names_in_words():
-    assert name_in_words("youngs_modulus") == "Young's modulus"
-    assert name_in_words("outer_radius.tip") == "Outer radius tip"
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("youngs_modulus", "Young's modulus"),
+        ("outer_radius.tip", "Outer radius tip"),
+        ("tendons.0.offset", "Tendon 1 offset"),
+        ("loads.tip_force.1", "Tip force Y"),
+        ("loads.tip_moment", "Tip moment"),
+        ("base_tension_2", "Base tension 2"),
+        ("base_tension.value", "Base tension target"),
+    ],
+)
+def test_names_in_words(name, words):
+    assert name_in_words(name) == words
 
 
 # --- a path of base tensions ---------------------------------------------------------------------
