@@ -256,7 +256,7 @@ class FixedPoint(eqx.Module):
     max_iterations: int = eqx.field(default=64, static=True)
 
     def __call__(self, problem: Problem) -> Solution:
-        update, least = Partial(_improved, problem), self._tolerance(problem)
+        update, least = Partial(_improved, problem), self.tolerance_of(problem)
         guess = nodal(problem, unbent(problem).nodes)
         if problem.is_quadrature:
             values = update(jax.lax.stop_gradient(guess))
@@ -291,13 +291,13 @@ class FixedPoint(eqx.Module):
         change = relative_size(minus(better, guess), better)
         positive = decided(jnp.all(states.ends.ratio > 0) & jnp.all(better.ratio > 0))
         # the iteration converges by the factor change / before, so the next change would be this one times that factor
-        least = self._tolerance(problem)
+        least = self.tolerance_of(problem)
         still = decided((change * change <= least * jnp.maximum(before, change)) & (change <= tol.LAST_GAIN * least))
         # from a poor guess r may pass below zero and come back
         ended = jnp.ones_like(change), change, still & positive, still & ~positive
         return Solution(states, *ended, 0.0 if missed is None else jnp.sum(missed))
 
-    def _tolerance(self, problem: Problem) -> float:
+    def tolerance_of(self, problem: Problem) -> float:
         return max(1e-12, round_off(problem.elements.edges.dtype)) if self.tolerance is None else self.tolerance
 
 

@@ -226,13 +226,13 @@ class LoadedBody(NamedTuple):
             step, off = _newton_step(self.problem, last.moment, residual, end.slopes.heading, end.residual_slopes)
             moved = slopes.moved(nodal(here, solution.nodes), jnp.atleast_1d(step))
             change = jnp.maximum(solution.residual, off)
-            settled = solution.converged & (off * off <= _round_off(off) * jnp.maximum(last.change, off))
-            settled, lost = decided(settled), decided(solution.locked | ~jnp.isfinite(change))
+            settled = decided(solution.converged & (off <= finer.method.tolerance_of(finer.problem)))
+            lost = decided(solution.locked | ~jnp.isfinite(change))
             found = Polished(last.moment + step, moved, solution.states, solution.missed, settled, lost, change)
             return found, jnp.where(settled | lost, zero, 1.0)
 
         states = varying_as(rest._replace(nodes=rest.nodes._replace(strain=strain)), zero)
-        start = Polished(end.values.moment, values, states, zero, zero > 0, zero > 0, zero)
+        start = Polished(end.values.moment, values, states, zero, zero > 0, zero > 0, zero + tol.REFINED)
         found, _, count = picard(chord, start, 0.0, finer.method.max_iterations)
         return found, count
 
