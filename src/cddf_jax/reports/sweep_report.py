@@ -11,9 +11,8 @@ import numpy as np
 from rich import filesize
 
 from .. import figures
-from ..batch.chunks import count
 from ..batch.drafts import check_folder
-from ..batch.work import COPIES, ZarrStore
+from ..batch.work import COPIES, items_there
 from ..errors import InputError, in_utf8, within
 from ..progress import stage
 from ..robot.loads import loads_as_dict
@@ -87,7 +86,7 @@ def run_sweep(work: Sweep, places: Places, options: Mapping[str, object]) -> "tu
     The options of the command line go into the summary. All processes but the first return None.
     """
     _check_places(places, work)
-    before = _there_already(work, places.store)
+    before = items_there(places.store, work.layout, work.identity)
     start = time.perf_counter()
     answer = work.run(places.store)
     seconds = time.perf_counter() - start
@@ -106,14 +105,6 @@ def run_sweep(work: Sweep, places: Places, options: Mapping[str, object]) -> "tu
         "store": in_utf8(places.store),
     }
     return answer, summary
-
-
-def _there_already(work: Sweep, store: Path) -> int:
-    """The number of solves that a store has already."""
-    if not store.exists():
-        return 0
-    opened = ZarrStore(store, work.layout, work.identity, create=False)
-    return sum(count(region) for region in opened.layout.regions() if opened.has(region))
 
 
 @stage("writing")
