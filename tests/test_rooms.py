@@ -36,7 +36,6 @@ CORE = ROOMS[: ROOMS.index("statics") + 1]
 ON_DEMAND = {
     ("robot/manipulator", "robot/validation"),
     ("statics/equilibrium", "statics/equilibrium_text"),
-    ("designing/results", "designing/report"),
 }
 HEAVY = {"matplotlib", "typer", "rich", "pint", "pandas", "xarray", "zarr", "scipy", "optimistix"}
 

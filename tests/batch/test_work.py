@@ -26,7 +26,7 @@ from sweep_child import axes
 
 import cddf_jax as cddf
 from cddf_jax.batch import work as work_module
-from cddf_jax.batch.chunks import Layout, count, even_chunks
+from cddf_jax.batch.work import Layout, count, even_chunks
 from cddf_jax.sweeping.axes import dimensions_of
 from cddf_jax.sweeping.sweep import Sweep
 

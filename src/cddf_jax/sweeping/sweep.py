@@ -13,10 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
-from ..batch.chunks import Layout, Region, even_chunks, not_computed
 from ..batch.fingerprint import code_digest, numbers_of, recorded
 from ..batch.lanes import in_lanes
-from ..batch.work import COPIES, carry_out
+from ..batch.work import COPIES, Layout, Region, carry_out, even_chunks, not_computed
 from ..errors import InputError, needed, within
 from ..mechanics.directions import as_directions, stated_directions
 from ..mechanics.march import FixedPoint
