@@ -58,7 +58,6 @@ def test_components_that_the_plane_has_not():
     loads = cddf.Loads(tip_force=(0.0, 0.0, 0.0))
     work = sweep_of(paper_body("exact"), {"loads.tip_force.2": [0.0, 0.1]}, loads=loads, base_tension=10.0)
     assert work.case.in_space
-    assert work.layout.empty.sizes["component"] == 3
     assert work.case.unit("loads.tip_moment.1") == "N m"
     for name, message in (
         ("loads.tip_force.2", "'loads.tip_force.2' is not a number of the body"),
@@ -68,22 +67,11 @@ def test_components_that_the_plane_has_not():
             cddf.sweep(paper_body("exact"), {name: [0.0, 0.1]}, base_tension=10.0)
 
 
-@pytest.mark.parametrize(
-    ("body", "axes", "others", "message"),
-    [
-        (THREE, {"base_tension": [5.0]}, {"outputs": ("heading",)}, "'heading' is not an output in space; there are"),
-        (
-            THREE,
-            {"kinematics": ["published"]},
-            {"base_tension": 5.0},
-            "the published kinematics are those of the plane",
-        ),
-        (THREE, {"axis": [1.0]}, {"base_tension": 5.0}, "a dimension cannot be called 'axis'; rename it"),
-    ],
-)
-def test_what_is_refused(body, axes, others, message):
-    with pytest.raises(InputError, match=f"^sweep: .*{message}"):
-        cddf.sweep(body, axes, **others)
+def test_what_is_refused():
+    with pytest.raises(InputError, match=r"^sweep: .*'heading' is not an output in space; there are"):
+        cddf.sweep(THREE, {"base_tension": [5.0]}, outputs=("heading",))
+    with pytest.raises(InputError, match=r"^sweep: .*the published kinematics are those of the plane"):
+        cddf.sweep(THREE, {"kinematics": ["published"]}, 5.0)
 
 
 def test_a_helix_follows_the_length():
