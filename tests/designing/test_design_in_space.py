@@ -207,9 +207,8 @@ def test_the_stiffness_of_the_tip_in_space():
 
 STRAIGHT = tube(cddf.Tendon(8e-3, angle=0.0))
 PLANAR = tube(cddf.Tendon(8e-3))
-
-
 HELIX = tube(cddf.Tendon(8e-3, angle=cddf.Linear(0.0, 3.0, L)))
+THREE = tube(*(cddf.Tendon(8e-3, angle=a) for a in (0.0, 2.0, 4.0)))
 
 
 @pytest.mark.parametrize(
@@ -220,16 +219,8 @@ HELIX = tube(cddf.Tendon(8e-3, angle=cddf.Linear(0.0, 3.0, L)))
         (PLANAR, cddf.Most("tip_z"), "'tip_z' is zero of a body in the plane; give a tendon an angle"),
         (PLANAR, cddf.Most("twist"), "'twist' is zero of a body in the plane; give a tendon an angle"),
         (tube(cddf.Tendon(8e-3), extensible=True), cddf.Least("strain"), "'strain' is not known along an axis that"),
-        (
-            STRAIGHT,
-            cddf.Near("tip_angle", 3.5),
-            "near tip_angle: tip_angle of a body in space is 0 or more and at most",
-        ),
-        (
-            STRAIGHT,
-            cddf.Near("heading", -0.1, at=[0.1]),
-            "near heading: heading of a body in space is 0 or more and at",
-        ),
+        (STRAIGHT, cddf.Near("tip_angle", 3.5), "near tip_angle: tip_angle of a body in space is 0 or more and at"),
+        (STRAIGHT, cddf.Near("heading", -0.1, at=[0.1]), "near heading: heading of a body in space is 0 or more"),
     ],
 )
 def test_what_has_no_meaning(body, objective, message):
@@ -245,18 +236,6 @@ def test_angles_beyond_half_a_turn():
     asked["cases"] = cddf.LoadCase(cddf.TipAngle(3.5))
     said = refused(cddf.design, STRAIGHT, cddf.Least("base_tension"), **asked)
     assert "the load case: solve: tip_angle of a body in space" in said
-
-
-def test_a_tendon_without_an_angle_has_none_to_free():
-    with pytest.raises(cddf.InputError, match=r"'tendons.0.angle' is not a number here; give it a value at the start"):
-        cddf.design(PLANAR, cddf.Least("mass"), free=("tendons.0.angle",), cases=cddf.LoadCase(10.0, direction=1))
-
-
-def test_tendons_that_share_a_number_start_at_one_value():
-    """One angle for all would put them on one line."""
-    three = tube(*(cddf.Tendon(8e-3, angle=a) for a in (0.0, 2.0, 4.0)))
-    with pytest.raises(cddf.InputError, match=r"'tendons.\*.angle' starts at different values, 0, 2, 4; make them one"):
-        cddf.design(three, cddf.Least("tip_z"), free=("tendons.*.angle",), cases=cddf.LoadCase(10.0, direction=1))
 
 
 def test_a_winding_moves_the_tip_with_the_base():
@@ -275,18 +254,13 @@ def test_a_winding_moves_the_tip_with_the_base():
 @pytest.mark.parametrize(
     ("body", "free", "message"),
     [
-        (
-            STRAIGHT,
-            ("tendons.*.angle.winding",),
-            "'?tendons.0.angle.winding'? needs a linear angle; give the tendon",
-        ),
-        (
-            HELIX,
-            ("tendons.0.angle", "tendons.0.angle.winding"),
-            "tendons.0.angle.tip follows from base and winding; leave out one of tip and winding",
-        ),
+        (PLANAR, ("tendons.0.angle",), "'tendons.0.angle' is not a number here; give it a value at the start"),
+        (THREE, ("tendons.*.angle",), "'tendons.*.angle' starts at different values, 0, 2, 4; make them one"),
+        (STRAIGHT, ("tendons.*.angle.winding",), "needs a linear angle; give the tendon"),
+        (HELIX, ("tendons.0.angle", "tendons.0.angle.winding"), "tip follows from base and winding; leave out one"),
     ],
 )
-def test_windings_that_cannot_be_free(body, free, message):
-    with pytest.raises(cddf.InputError, match=message):
-        cddf.design(body, cddf.Most("tip_twist"), free=free, cases=cddf.LoadCase(10.0, direction=1))
+def test_angles_that_cannot_be_free(body, free, message):
+    """One angle for three tendons would put them on one line."""
+    case = cddf.LoadCase(10.0, direction=1)
+    assert message in refused(cddf.design, body, cddf.Least("tip_x"), free=free, cases=case)

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from bodies import paper_with
 from scipy.integrate import quad
 
 import cddf_jax as cddf
@@ -55,15 +56,8 @@ class Plain:
 
 def view(numbers):
     step, radius, end = numbers
-    body = cddf.Manipulator(
-        length=L,
-        outer_radius=cddf.Piecewise(step[None], [cddf.Constant(20e-3), radius]),
-        inner_radius=BORE,
-        tendons=(cddf.Tendon(OFFSET, end=end),),
-        youngs_modulus=E,
-        friction_coefficient=MU,
-    )
-    case = cddf.LoadCase(T)
+    outer_radius = cddf.Piecewise(step[None], [cddf.Constant(20e-3), radius])
+    body, case = paper_with(cddf.Tendon(OFFSET, end=end), outer_radius=outer_radius), cddf.LoadCase(T)
     return BodyView(body, jnp.linspace(0.0, L, 15), case, case.solve(body, 8), 8)
 
 

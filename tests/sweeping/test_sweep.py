@@ -287,7 +287,7 @@ def test_methods_side_by_side():
 
 
 def test_failed_and_doubtful_solves_are_masked_and_harm_no_neighbour():
-    options = {"outputs": ["tip_tension"], "sensitivities": ["youngs_modulus"]}
+    options: dict[str, Any] = {"outputs": ["tip_tension"], "sensitivities": ["youngs_modulus"]}
     answer = cddf.sweep(paper_body("exact"), {"base_tension": [40.0, -1.0, 4000.0, 75.0]}, **options)
     kinds = [cddf.Status(code).name for code in answer.result.values]
     assert kinds == ["successful", "unphysical", "crossing", "successful"]
