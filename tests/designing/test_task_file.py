@@ -82,24 +82,6 @@ def test_default_bounds():
     assert space.numbers(space.scaled(space.start)) == pytest.approx(space.start, rel=1e-12)
 
 
-def test_everything_along_a_body_is_stretched_with_it():
-    """Twice as long: the value at twice the arc length is the one before, for every kind of profile."""
-    body = replace(
-        paper_body("exact"),
-        inner_radius=cddf.Piecewise([0.05], [0.006, cddf.Linear(0.006, 0.005, 0.14)]),
-        outer_radius=cddf.Spline(np.linspace(0, 0.14, 5), [0.02, 0.019, 0.017, 0.016, 0.013]),
-        tendons=(cddf.Tendon(0.010, end=0.11), cddf.Tendon(cddf.Linear(0.011, 0.009, 0.14), -1)),
-    )
-    longer, s = stretched(body, 0.28), np.linspace(0.0, 0.14, 57)
-    for name in ("inner_radius", "outer_radius"):
-        before, after = getattr(body, name)(s), getattr(longer, name)(2 * s)
-        assert np.asarray(after) == pytest.approx(np.asarray(before), rel=1e-12), name
-    assert np.asarray(longer.offset(2 * s)) == pytest.approx(np.asarray(body.offset(s)), rel=1e-12)
-    assert longer.tendons[0].end == pytest.approx(0.22, rel=1e-12)
-    assert longer.tendons[1].end is None
-    assert float(longer.length) == 0.28
-
-
 # --- what is wanted ------------------------------------------------------------------------------
 
 

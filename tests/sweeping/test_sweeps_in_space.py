@@ -1,13 +1,11 @@
 """Sweeps of bodies in space: symmetry, one solve at a time, labels, and what is refused."""
 
-import jax
 import numpy as np
 import pytest
 from bodies import paper_body, paper_with
 
 import cddf_jax as cddf
 from cddf_jax.errors import InputError
-from cddf_jax.robot.reshape import stretched
 from cddf_jax.sweeping.axes import dimensions_of
 from cddf_jax.sweeping.export import write_csv
 from cddf_jax.sweeping.one_solve import IN_SPACE
@@ -72,14 +70,3 @@ def test_what_is_refused():
         cddf.sweep(THREE, {"base_tension": [5.0]}, outputs=("heading",))
     with pytest.raises(InputError, match=r"^sweep: .*the published kinematics are those of the plane"):
         cddf.sweep(THREE, {"kinematics": ["published"]}, 5.0)
-
-
-def test_a_helix_follows_the_length():
-    """Half a turn stays half a turn, and a bend at rest reaches as far along the body."""
-    helix = cddf.Tendon(0.010, angle=cddf.Linear(0.0, np.pi, LENGTH))
-    body = paper_with(helix, rest_curvature=(0.0, cddf.Linear(1.0, 3.0, LENGTH), 0.0))
-    assert body.rest_curvature is not None
-    longer, s = stretched(body, 2 * LENGTH), np.linspace(0.0, LENGTH, 5)
-    np.testing.assert_allclose(jax.vmap(longer.arms)(2 * s), jax.vmap(body.arms)(s), atol=1e-15)
-    assert longer.rest_curvature is not None
-    np.testing.assert_allclose(longer.rest_curvature[1](2 * s), body.rest_curvature[1](s), rtol=1e-12)
