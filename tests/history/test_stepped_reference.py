@@ -56,6 +56,7 @@ def test_the_simulation_still_makes_these_numbers(name):
     np.testing.assert_allclose(rough, STORED[name], rtol=5e-3)
 
 
+@pytest.mark.slow
 def test_the_simulation_of_one_tendon_converges_to_the_exact_trace():
     """It knows no fronts, and its errors fall with the square of the cells; loops within loops, one below the other."""
     path = [60.0, 75.0, 60.0, 40.0, 65.0, 50.0, 20.0, 70.0]

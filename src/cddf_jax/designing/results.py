@@ -149,18 +149,22 @@ def design_of(
     outcome: SearchResult, start: Manipulator, choices: Choices = (), chosen: dict[str, float] | None = None
 ) -> Design:
     """The result of a search, with everything that is reported."""
-    problem, local = outcome.problem, outcome.local
-    body, objectives = jax.tree.map(np.asarray, problem.body(outcome.z)), achieved(outcome)
-    codes = zip(problem.cases, outcome.evaluation.codes, strict=True)
+    problem, local, objectives = outcome.problem, outcome.local, []
+    body, at_start, at_end = problem.body(outcome.z), problem.evaluation(problem.free.scaled_start), outcome.evaluation
+    for i, term in enumerate(problem.terms):
+        aim, values = term.objective, (problem.over_the_cases(i, each.aims[i]) for each in (at_start, at_end))
+        start_value, end_value = (aim.displayed(float(value)) for value in values)
+        objectives.append(Achieved(str(aim), start_value, end_value, float(term.weight), aim.dimension))
+    codes = zip(problem.cases, at_end.codes, strict=True)
     result = design_result(outcome)
     return Design(
-        manipulator=body,
+        manipulator=jax.tree.map(np.asarray, body),
         start=start,
         success=result == "successful",
         feasible=outcome.feasible,
         result=result,
         objective=objectives[0].end if len(objectives) == 1 else local.point.objective,
-        objectives=objectives,
+        objectives=tuple(objectives),
         free=free_numbers(outcome),
         limits=limit_reports(outcome, float(body.length)),
         blocking=outcome.blocking,
@@ -206,17 +210,6 @@ def displayed(problem: DesignProblem, value: float) -> float:
         return value
     (term,) = problem.terms
     return term.objective.displayed(value * float(term.size) / float(term.weight))
-
-
-def achieved(outcome: SearchResult) -> tuple[Achieved, ...]:
-    """Each objective at the start and at the end."""
-    problem, found = outcome.problem, []
-    at_start, at_end = problem.evaluation(problem.free.scaled_start), outcome.evaluation
-    for i, term in enumerate(problem.terms):
-        aim, values = term.objective, (problem.over_the_cases(i, each.aims[i]) for each in (at_start, at_end))
-        start, end = (aim.displayed(float(value)) for value in values)
-        found.append(Achieved(str(aim), start, end, float(term.weight), aim.dimension))
-    return tuple(found)
 
 
 # --- what binds ----------------------------------------------------------------------------------
