@@ -123,25 +123,20 @@ def test_where_there_is_no_answer_it_turns_back():
 # --- limits in one another's way -----------------------------------------------------------------
 
 
-def crossed() -> Written:
-    """The line x + y >= 3 within the disc x^2 + y^2 <= 2."""
-    return Written(lambda x: x[0], lambda x: [x[0] + x[1] - 3.0, 2.0 - x @ x])
-
-
 def test_the_least_violation_of_a_line_and_a_disc():
-    """By symmetry x = y = a with 2 a = 3 - t and 2 a^2 = 2 + t: t = 4 - sqrt(11).
+    """The line x + y >= 3, the disc x^2 + y^2 <= 2: x = y = a with 2 a = 3 - t and 2 a^2 = 2 + t, t = 4 - sqrt(11).
 
     The multipliers add up to 1 and balance: p (1, 1) = q 2 a (1, 1).
     """
-    nowhere = on_both_sides(2)
+    crossed, nowhere = Written(lambda x: x[0], lambda x: [x[0] + x[1] - 3.0, 2.0 - x @ x]), on_both_sides(2)
     least = 4 - np.sqrt(11.0)
     a = (3 - least) / 2
-    found = least_violation(crossed(), np.array([3.0, 0.0]), *nowhere)
+    found = least_violation(crossed, np.array([3.0, 0.0]), *nowhere)
     assert found.point.objective == pytest.approx(least, rel=1e-7)
     assert found.point.x == pytest.approx([a, a, least], abs=1e-5)
     assert found.limits == pytest.approx([2 * a / (1 + 2 * a), 1 / (1 + 2 * a)], rel=1e-5)
     assert found.residual <= TOLERANCE
-    stuck = minimise_constrained(crossed(), np.array([3.0, 0.0]), *nowhere)
+    stuck = minimise_constrained(crossed, np.array([3.0, 0.0]), *nowhere)
     assert not stuck.feasible
     assert stuck.point.violation >= least - 1e-9  # no point breaks them less
 

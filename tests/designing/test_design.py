@@ -154,7 +154,6 @@ def even_strain(E, angle=1.0):
     return e, base(e), base(e) - MU * e * L / 3
 
 
-@lru_cache
 def least_strain(bounds=(0.010, 0.030), moduli=()):
     return cddf.design(
         paper_body("exact", inner_radius=0.0, outer_radius=(0.0150, 0.0130)),

@@ -50,33 +50,28 @@ def arc(pull):
 # --- least tension for a pose --------------------------------------------------------------------
 
 
-@lru_cache
-def pose(pull=8.0, angle=2.0):
-    across = arc(pull)[1]
-    return cddf.design(
+@pytest.mark.slow
+def test_the_least_tension_for_a_pose():
+    """The pose tells the angle and T d: the tendon goes as far out as it may, and T is proportional to 1 / d."""
+    (along, across), tension = arc(8.0), 8.0 * EJ / FARTHEST
+    found = cddf.design(
         tube(cddf.Tendon(7e-3, angle=0.5)),
         cddf.Least("base_tension"),
         free=("tendons.0.angle", "tendons.*.offset", "base_tension"),
         bounds={"tendons.*.offset": (NEAREST, FARTHEST)},
         constraints=[
-            cddf.Limit("tip_y", equal=across * np.cos(angle)),
-            cddf.Limit("tip_z", equal=across * np.sin(angle)),
+            cddf.Limit("tip_y", equal=across * np.cos(2.0)),
+            cddf.Limit("tip_z", equal=across * np.sin(2.0)),
         ],
         cases=cddf.LoadCase(10.0, direction=1),
         nodes=FEW,
     )
-
-
-@pytest.mark.slow
-def test_the_least_tension_for_a_pose():
-    """The pose tells the angle and T d: the tendon goes as far out as it may, and T is proportional to 1 / d."""
-    found, tension = pose(), 8.0 * EJ / FARTHEST
     assert found.success
     assert found.value["tendons.0.angle"] == pytest.approx(2.0, abs=1e-7)
     assert found.value["base_tension"] == pytest.approx(tension, rel=1e-7)
     assert found.free["tendons.0.offset"].status == "at upper bound"
     assert found.free["tendons.0.offset"].multiplier == pytest.approx(tension / FARTHEST, rel=1e-6)
-    assert found.equilibria[0].tip_position[0] == pytest.approx(arc(8.0)[0], rel=1e-8)
+    assert found.equilibria[0].tip_position[0] == pytest.approx(along, rel=1e-8)
     angle = found.free["tendons.0.angle"]
     assert (angle.start, angle.status) == (0.5, "inside")
     assert (angle.lower, angle.upper) == pytest.approx((0.5 - np.pi, 0.5 + np.pi))  # half a turn either way
@@ -115,26 +110,21 @@ def tip_twist(turns, base_tension, d):
     return risen(left, d, w)[1]
 
 
-@lru_cache
-def twisted(tension=10.0, d=8e-3):
-    """One tendon is pulled, and another winds beside it."""
-    tendons = [cddf.Tendon(d, angle=cddf.Linear(base, base + 2 * np.pi * -0.75, L)) for base in (0.0, 2.0)]
-    return cddf.design(
-        tube(*tendons),
-        cddf.Most("tip_twist"),
-        free=("tendons.*.angle.winding",),
-        bounds={"tendons.*.angle.winding": (-6 * np.pi, -1.2 * np.pi)},
-        cases=cddf.LoadCase((tension, 0.0), direction=1),
-    )
-
-
 @pytest.mark.slow
 def test_the_most_twist_of_a_helix():
     """More turns twist more and lose more tension: in between is the most that reaches the tip, as SciPy finds it.
 
-    At about half a turn the tendon is straight and loses nothing, and the body winds around it: that is a kink.
+    One tendon is pulled, and another winds beside it. At about half a turn the tendon is straight and loses nothing,
+    and the body winds around it: that is a kink.
     """
-    found = twisted()
+    tendons = [cddf.Tendon(8e-3, angle=cddf.Linear(base, base + 2 * np.pi * -0.75, L)) for base in (0.0, 2.0)]
+    found = cddf.design(
+        tube(*tendons),
+        cddf.Most("tip_twist"),
+        free=("tendons.*.angle.winding",),
+        bounds={"tendons.*.angle.winding": (-6 * np.pi, -1.2 * np.pi)},
+        cases=cddf.LoadCase((10.0, 0.0), direction=1),
+    )
     exact = {"xatol": 1e-7}
     best: Any = minimize_scalar(lambda turns: -tip_twist(turns, 10.0, 8e-3), bounds=(-2.9, -0.7), options=exact)
     assert found.success
