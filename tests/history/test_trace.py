@@ -42,10 +42,6 @@ PLAIN = paper_plain("exact")
 END = MU / MODULUS * PLAIN.compliance(LENGTH)  # g(L)
 
 
-def stiffness(s):
-    return MODULUS * PLAIN.second_moment(s)
-
-
 def play(path, at):
     """T at a place where g has the value `at`, after a path of base tensions from rest."""
     y = np.inf
@@ -125,7 +121,7 @@ def test_a_front_with_drag_against_an_integration(path, drag):
 
     def branch(tension, direction, events=None):
         def rate(s, T):
-            return -direction * (MU * OFFSET / stiffness(s) * T**2 + drag)
+            return -direction * (MU * OFFSET / (MODULUS * PLAIN.second_moment(s)) * T**2 + drag)
 
         options: dict[str, Any] = {"rtol": 1e-12, "atol": 1e-12, "dense_output": True}
         return solve_ivp(rate, (0, LENGTH), [tension], events=events, **options)
