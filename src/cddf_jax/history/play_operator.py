@@ -39,9 +39,8 @@ from .driven import Drive, driven
 from .energies import work_and_loss
 from .fronts import Motion, cut_at, moving_front
 from .history import Energies, History, States
-from .turns import NO_STEP, Turns, open_turns
+from .turns import NO_STEP, Number, Turns, open_turns
 
-Number = Float[Array, ""]
 BLOCK = 64  # steps that are computed at a time, so that memory stays small in a batch of bodies
 
 

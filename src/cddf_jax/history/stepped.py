@@ -27,7 +27,7 @@ from ..robot.manipulator import Manipulator
 from ..statics.arguments import harmless, is_physical
 from ..statics.equilibrium import nan_unless
 from ..statics.status import Status, first_of
-from .grid import Given, Goal, Grid, Node, cut_into_elements, loads_on
+from .grid import Given, Goal, Grid, Node, Number, cut_into_elements, loads_on
 from .history import Energies, History, States
 from .increment import FOUND, tendons_of
 from .instants import (
@@ -50,7 +50,6 @@ from .instants import (
 )
 from .path import Path
 
-Number = Float[Array, ""]
 ELEMENTS = 3  # times the nodes in each smooth piece of the body, one more where that is odd
 ACCURACY = 1e-2  # a step with a larger error estimate is called inaccurate
 FULL_TURN = 0.5  # rad, by which a step of tensions turns the body without friction: smaller ones have fewer increments
