@@ -40,6 +40,12 @@ def paper_with(*tendons: cddf.Tendon, kinematics: str = "exact", **changes: Any)
     return replace(paper_body(kinematics), tendons=tendons, **changes)
 
 
+def stretching(body: cddf.Manipulator, stiffness: float, free_length: float = 0.0) -> cddf.Manipulator:
+    """The body with tendons that stretch: their stiffness E A, N, and their length outside the body, m."""
+    tendons = tuple(replace(t, axial_stiffness=stiffness, free_length=free_length) for t in body.tendons)
+    return replace(body, tendons=tendons)
+
+
 def three_tendon_tube() -> cddf.Manipulator:
     """A tube of silicone in space, of 200 mm, with tendons 120 degrees apart; friction 0.3 and 1 MPa."""
     return cddf.Manipulator(

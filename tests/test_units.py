@@ -1,4 +1,4 @@
-"""Quantities with units: exact decimal conversion, what is refused, and the way back to text."""
+"""Quantities with units: exact decimal conversion, what is refused, the way back to text; every name has a unit."""
 
 import math
 import struct
@@ -8,7 +8,13 @@ import pytest
 from hypothesis import given, strategies as st
 from refusals import refused
 
+from cddf_jax.designing.body_quantities import BODY_QUANTITIES
 from cddf_jax.errors import InputError
+from cddf_jax.files.actuation import TARGETS
+from cddf_jax.identification.parameters import PARAMETERS
+from cddf_jax.measurements.columns import COLUMNS
+from cddf_jax.quantities import QUANTITIES
+from cddf_jax.sweeping.one_solve import OUTPUTS
 from cddf_jax.units import Dimension, quantity, to_si, written
 
 DIMENSIONS = ("length", "force", "pressure", "density", "angle", "dimensionless")
@@ -106,3 +112,8 @@ def test_written_as_an_engineer_would(value, dimension, text):
 @given(st.floats(allow_nan=False, allow_infinity=False), st.sampled_from(DIMENSIONS))
 def test_written_reads_back_to_the_last_bit(value, dimension):
     assert bits(quantity(written(value, dimension), dimension, "x")) == bits(value)
+
+
+@pytest.mark.parametrize("names", [OUTPUTS, PARAMETERS, COLUMNS, TARGETS, BODY_QUANTITIES])
+def test_every_table_of_names_is_in_the_registry(names):
+    assert set(names) <= set(QUANTITIES)

@@ -16,7 +16,6 @@ import time
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 import pytest
 from bodies import paper_body
@@ -25,8 +24,7 @@ from refusals import refused
 from sweep_child import axes
 
 import cddf_jax as cddf
-from cddf_jax.batch import work as work_module
-from cddf_jax.batch.chunks import Layout, count, even_chunks
+from cddf_jax.batch.work import Layout, count, even_chunks
 from cddf_jax.sweeping.axes import dimensions_of
 from cddf_jax.sweeping.sweep import Sweep
 
@@ -142,19 +140,6 @@ def free_port():
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         return free.getsockname()[1]
-
-
-def test_each_process_does_its_share_of_the_chunks(plain, tmp_path, monkeypatch):
-    """As processes 0 and 1 of two, one after the other; test_processes_share_the_work starts real ones."""
-    path, options = tmp_path / "s.zarr", OPTIONS | {"out": tmp_path / "s.zarr", "chunk": 50}
-    monkeypatch.setattr(work_module, "_all_say", lambda what, good: good)
-    monkeypatch.setattr(jax, "process_count", lambda: 2)
-    cddf.sweep(paper_body(), axes(SOLVES), **options)
-    assert {int(file.parent.name) for file in whole_chunks(path)} == {0, 2, 4, 6, 8}
-    kept = {file: file.stat().st_mtime_ns for file in whole_chunks(path)}
-    monkeypatch.setattr(jax, "process_index", lambda: 1)
-    same(cddf.sweep(paper_body(), axes(SOLVES), **options), plain)
-    assert all(file.stat().st_mtime_ns == written for file, written in kept.items())
 
 
 @pytest.mark.slow

@@ -15,7 +15,6 @@ from bodies import paper_body
 from places import DATA
 
 import cddf_jax as cddf
-from cddf_jax.batch.work import Memory
 from cddf_jax.cli import sweep_options
 from cddf_jax.reports import sweep_report
 from cddf_jax.sweeping import export as sweep_exports
@@ -141,7 +140,7 @@ def test_two_tendons_in_a_table(tmp_path):
     work = replace(
         read("base_tension_1=20N,40N", "nodes=8,16", base_tension=["0 N", "5 N"], body=body), outputs=("tip_tension",)
     )
-    answer = Memory(work.layout).dataset()
+    answer = work.layout.empty.copy(deep=True)
     answer["tip_tension"][...] = np.arange(8.0).reshape(2, 2, 2)
     answer["result"][...] = [[0, 0], [3, 0]]
     sweep_exports.write_csv(work.layout, answer, tmp_path / "two.csv")
@@ -159,7 +158,7 @@ def test_no_success_at_all_and_the_loads(run, tmp_path, monkeypatch):
     """Nothing is solved: the results are made up."""
 
     def made_up(work, _):
-        answer = Memory(work.layout).dataset()
+        answer = work.layout.empty.copy(deep=True)
         answer["result"][...] = cddf.Status.crossing
         return answer
 

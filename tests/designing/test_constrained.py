@@ -81,9 +81,9 @@ def test_hock_schittkowski_71_with_its_multipliers():
     assert not np.any(found.upper)
 
 
-def rosen_suzuki() -> Written:
-    """HS 43."""
-    return Written(
+def test_rosen_suzuki_with_its_multipliers():
+    """HS 43: f = -44 at (0, 1, 2, -1). There grad f = (-5, -3, -13, 5) = 1 (-1, -1, -5, 3) + 2 (-2, -1, -4, 1)."""
+    problem = Written(
         lambda x: x @ (jnp.array([1.0, 1, 2, 1]) * x) + jnp.array([-5.0, -5, -21, 7]) @ x,
         lambda x: [
             8 - x @ x - jnp.array([1.0, -1, 1, -1]) @ x,
@@ -91,26 +91,12 @@ def rosen_suzuki() -> Written:
             5 - x @ (jnp.array([2.0, 1, 1, 0]) * x) - 2 * x[0] + x[1] + x[3],
         ],
     )
-
-
-def test_rosen_suzuki_with_its_multipliers():
-    """HS 43: f = -44 at (0, 1, 2, -1). There grad f = (-5, -3, -13, 5) = 1 (-1, -1, -5, 3) + 2 (-2, -1, -4, 1)."""
-    found = minimise_constrained(rosen_suzuki(), np.zeros(4), *on_both_sides(4))
+    nowhere = on_both_sides(4)
+    found = minimise_constrained(problem, np.zeros(4), *nowhere)
     assert found.point.objective == pytest.approx(-44.0, rel=1e-9)
     assert found.point.x == pytest.approx([0, 1, 2, -1], abs=PRINTED)
     assert found.limits == pytest.approx([1, 0, 2], abs=MULTIPLIERS)
     assert found.residual <= TOLERANCE
-    short = minimise_constrained(rosen_suzuki(), np.zeros(4), *on_both_sides(4), max_iterations=2)
-    assert short.iterations == 2
-    assert not short.stationary
-
-
-def test_the_multipliers_of_a_known_optimum():
-    """Those of HS 43 at the point itself, without a search; and another point is not taken for an optimum."""
-    problem, nowhere = rosen_suzuki(), on_both_sides(4)
-    known = local_minimum(problem(np.array([0.0, 1.0, 2.0, -1.0])), *nowhere)
-    assert known.limits == pytest.approx([1, 0, 2], abs=1e-12)
-    assert known.residual < 1e-12
     # at the origin no limit is used up, so the residual is the gradient (-5, -5, -21, 7) over its largest entry
     assert local_minimum(problem(np.zeros(4)), *nowhere).residual == pytest.approx(1.0, rel=1e-12)
 
@@ -137,25 +123,20 @@ def test_where_there_is_no_answer_it_turns_back():
 # --- limits in one another's way -----------------------------------------------------------------
 
 
-def crossed() -> Written:
-    """The line x + y >= 3 within the disc x^2 + y^2 <= 2."""
-    return Written(lambda x: x[0], lambda x: [x[0] + x[1] - 3.0, 2.0 - x @ x])
-
-
 def test_the_least_violation_of_a_line_and_a_disc():
-    """By symmetry x = y = a with 2 a = 3 - t and 2 a^2 = 2 + t: t = 4 - sqrt(11).
+    """The line x + y >= 3, the disc x^2 + y^2 <= 2: x = y = a with 2 a = 3 - t and 2 a^2 = 2 + t, t = 4 - sqrt(11).
 
     The multipliers add up to 1 and balance: p (1, 1) = q 2 a (1, 1).
     """
-    nowhere = on_both_sides(2)
+    crossed, nowhere = Written(lambda x: x[0], lambda x: [x[0] + x[1] - 3.0, 2.0 - x @ x]), on_both_sides(2)
     least = 4 - np.sqrt(11.0)
     a = (3 - least) / 2
-    found = least_violation(crossed(), np.array([3.0, 0.0]), *nowhere)
+    found = least_violation(crossed, np.array([3.0, 0.0]), *nowhere)
     assert found.point.objective == pytest.approx(least, rel=1e-7)
     assert found.point.x == pytest.approx([a, a, least], abs=1e-5)
     assert found.limits == pytest.approx([2 * a / (1 + 2 * a), 1 / (1 + 2 * a)], rel=1e-5)
     assert found.residual <= TOLERANCE
-    stuck = minimise_constrained(crossed(), np.array([3.0, 0.0]), *nowhere)
+    stuck = minimise_constrained(crossed, np.array([3.0, 0.0]), *nowhere)
     assert not stuck.feasible
     assert stuck.point.violation >= least - 1e-9  # no point breaks them less
 

@@ -50,33 +50,28 @@ def arc(pull):
 # --- least tension for a pose --------------------------------------------------------------------
 
 
-@lru_cache
-def pose(pull=8.0, angle=2.0):
-    across = arc(pull)[1]
-    return cddf.design(
+@pytest.mark.slow
+def test_the_least_tension_for_a_pose():
+    """The pose tells the angle and T d: the tendon goes as far out as it may, and T is proportional to 1 / d."""
+    (along, across), tension = arc(8.0), 8.0 * EJ / FARTHEST
+    found = cddf.design(
         tube(cddf.Tendon(7e-3, angle=0.5)),
         cddf.Least("base_tension"),
         free=("tendons.0.angle", "tendons.*.offset", "base_tension"),
         bounds={"tendons.*.offset": (NEAREST, FARTHEST)},
         constraints=[
-            cddf.Limit("tip_y", equal=across * np.cos(angle)),
-            cddf.Limit("tip_z", equal=across * np.sin(angle)),
+            cddf.Limit("tip_y", equal=across * np.cos(2.0)),
+            cddf.Limit("tip_z", equal=across * np.sin(2.0)),
         ],
         cases=cddf.LoadCase(10.0, direction=1),
         nodes=FEW,
     )
-
-
-@pytest.mark.slow
-def test_the_least_tension_for_a_pose():
-    """The pose tells the angle and T d: the tendon goes as far out as it may, and T is proportional to 1 / d."""
-    found, tension = pose(), 8.0 * EJ / FARTHEST
     assert found.success
     assert found.value["tendons.0.angle"] == pytest.approx(2.0, abs=1e-7)
     assert found.value["base_tension"] == pytest.approx(tension, rel=1e-7)
     assert found.free["tendons.0.offset"].status == "at upper bound"
     assert found.free["tendons.0.offset"].multiplier == pytest.approx(tension / FARTHEST, rel=1e-6)
-    assert found.equilibria[0].tip_position[0] == pytest.approx(arc(8.0)[0], rel=1e-8)
+    assert found.equilibria[0].tip_position[0] == pytest.approx(along, rel=1e-8)
     angle = found.free["tendons.0.angle"]
     assert (angle.start, angle.status) == (0.5, "inside")
     assert (angle.lower, angle.upper) == pytest.approx((0.5 - np.pi, 0.5 + np.pi))  # half a turn either way
@@ -115,26 +110,21 @@ def tip_twist(turns, base_tension, d):
     return risen(left, d, w)[1]
 
 
-@lru_cache
-def twisted(tension=10.0, d=8e-3):
-    """One tendon is pulled, and another winds beside it."""
-    tendons = [cddf.Tendon(d, angle=cddf.Linear(base, base + 2 * np.pi * -0.75, L)) for base in (0.0, 2.0)]
-    return cddf.design(
-        tube(*tendons),
-        cddf.Most("tip_twist"),
-        free=("tendons.*.angle.winding",),
-        bounds={"tendons.*.angle.winding": (-6 * np.pi, -1.2 * np.pi)},
-        cases=cddf.LoadCase((tension, 0.0), direction=1),
-    )
-
-
 @pytest.mark.slow
 def test_the_most_twist_of_a_helix():
     """More turns twist more and lose more tension: in between is the most that reaches the tip, as SciPy finds it.
 
-    At about half a turn the tendon is straight and loses nothing, and the body winds around it: that is a kink.
+    One tendon is pulled, and another winds beside it. At about half a turn the tendon is straight and loses nothing,
+    and the body winds around it: that is a kink.
     """
-    found = twisted()
+    tendons = [cddf.Tendon(8e-3, angle=cddf.Linear(base, base + 2 * np.pi * -0.75, L)) for base in (0.0, 2.0)]
+    found = cddf.design(
+        tube(*tendons),
+        cddf.Most("tip_twist"),
+        free=("tendons.*.angle.winding",),
+        bounds={"tendons.*.angle.winding": (-6 * np.pi, -1.2 * np.pi)},
+        cases=cddf.LoadCase((10.0, 0.0), direction=1),
+    )
     exact = {"xatol": 1e-7}
     best: Any = minimize_scalar(lambda turns: -tip_twist(turns, 10.0, 8e-3), bounds=(-2.9, -0.7), options=exact)
     assert found.success
@@ -207,9 +197,8 @@ def test_the_stiffness_of_the_tip_in_space():
 
 STRAIGHT = tube(cddf.Tendon(8e-3, angle=0.0))
 PLANAR = tube(cddf.Tendon(8e-3))
-
-
 HELIX = tube(cddf.Tendon(8e-3, angle=cddf.Linear(0.0, 3.0, L)))
+THREE = tube(*(cddf.Tendon(8e-3, angle=a) for a in (0.0, 2.0, 4.0)))
 
 
 @pytest.mark.parametrize(
@@ -220,16 +209,8 @@ HELIX = tube(cddf.Tendon(8e-3, angle=cddf.Linear(0.0, 3.0, L)))
         (PLANAR, cddf.Most("tip_z"), "'tip_z' is zero of a body in the plane; give a tendon an angle"),
         (PLANAR, cddf.Most("twist"), "'twist' is zero of a body in the plane; give a tendon an angle"),
         (tube(cddf.Tendon(8e-3), extensible=True), cddf.Least("strain"), "'strain' is not known along an axis that"),
-        (
-            STRAIGHT,
-            cddf.Near("tip_angle", 3.5),
-            "near tip_angle: tip_angle of a body in space is 0 or more and at most",
-        ),
-        (
-            STRAIGHT,
-            cddf.Near("heading", -0.1, at=[0.1]),
-            "near heading: heading of a body in space is 0 or more and at",
-        ),
+        (STRAIGHT, cddf.Near("tip_angle", 3.5), "near tip_angle: tip_angle of a body in space is 0 or more and at"),
+        (STRAIGHT, cddf.Near("heading", -0.1, at=[0.1]), "near heading: heading of a body in space is 0 or more"),
     ],
 )
 def test_what_has_no_meaning(body, objective, message):
@@ -245,18 +226,6 @@ def test_angles_beyond_half_a_turn():
     asked["cases"] = cddf.LoadCase(cddf.TipAngle(3.5))
     said = refused(cddf.design, STRAIGHT, cddf.Least("base_tension"), **asked)
     assert "the load case: solve: tip_angle of a body in space" in said
-
-
-def test_a_tendon_without_an_angle_has_none_to_free():
-    with pytest.raises(cddf.InputError, match=r"'tendons.0.angle' is not a number here; give it a value at the start"):
-        cddf.design(PLANAR, cddf.Least("mass"), free=("tendons.0.angle",), cases=cddf.LoadCase(10.0, direction=1))
-
-
-def test_tendons_that_share_a_number_start_at_one_value():
-    """One angle for all would put them on one line."""
-    three = tube(*(cddf.Tendon(8e-3, angle=a) for a in (0.0, 2.0, 4.0)))
-    with pytest.raises(cddf.InputError, match=r"'tendons.\*.angle' starts at different values, 0, 2, 4; make them one"):
-        cddf.design(three, cddf.Least("tip_z"), free=("tendons.*.angle",), cases=cddf.LoadCase(10.0, direction=1))
 
 
 def test_a_winding_moves_the_tip_with_the_base():
@@ -275,18 +244,13 @@ def test_a_winding_moves_the_tip_with_the_base():
 @pytest.mark.parametrize(
     ("body", "free", "message"),
     [
-        (
-            STRAIGHT,
-            ("tendons.*.angle.winding",),
-            "'?tendons.0.angle.winding'? needs a linear angle; give the tendon",
-        ),
-        (
-            HELIX,
-            ("tendons.0.angle", "tendons.0.angle.winding"),
-            "tendons.0.angle.tip follows from base and winding; leave out one of tip and winding",
-        ),
+        (PLANAR, ("tendons.0.angle",), "'tendons.0.angle' is not a number here; give it a value at the start"),
+        (THREE, ("tendons.*.angle",), "'tendons.*.angle' starts at different values, 0, 2, 4; make them one"),
+        (STRAIGHT, ("tendons.*.angle.winding",), "needs a linear angle; give the tendon"),
+        (HELIX, ("tendons.0.angle", "tendons.0.angle.winding"), "tip follows from base and winding; leave out one"),
     ],
 )
-def test_windings_that_cannot_be_free(body, free, message):
-    with pytest.raises(cddf.InputError, match=message):
-        cddf.design(body, cddf.Most("tip_twist"), free=free, cases=cddf.LoadCase(10.0, direction=1))
+def test_angles_that_cannot_be_free(body, free, message):
+    """One angle for three tendons would put them on one line."""
+    case = cddf.LoadCase(10.0, direction=1)
+    assert message in refused(cddf.design, body, cddf.Least("tip_x"), free=free, cases=case)

@@ -7,7 +7,7 @@ h(s) = int_0^s dx / J, and kappa = T d / (E J) up to the anchor.
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
+from bodies import paper_with
 from scipy.integrate import quad
 
 import cddf_jax as cddf
@@ -53,45 +53,28 @@ class Plain:
         return np.array([*even, *near, area * L])
 
 
-def view(numbers):
-    step, radius, end = numbers
-    body = cddf.Manipulator(
-        length=L,
-        outer_radius=cddf.Piecewise(step[None], [cddf.Constant(20e-3), radius]),
-        inner_radius=BORE,
-        tendons=(cddf.Tendon(OFFSET, end=end),),
-        youngs_modulus=E,
-        friction_coefficient=MU,
-    )
-    case = cddf.LoadCase(T)
-    return BodyView(body, jnp.linspace(0.0, L, 15), case, case.solve(body, 8), 8)
+def test_means_between_joints_and_up_to_anchors_with_their_slopes():
+    """A rule of 32 nodes from base to tip is wrong by some per cent, and counts tension beyond the anchor as 0.
 
+    Slopes by the places of joint and anchor, over which integrands jump, and by the radius; central differences of
+    fourth order.
+    """
 
-def values(numbers):
-    there = view(numbers)
-    told = jnp.stack([aim.values(there) for aim in AIMS]), BODY_QUANTITIES["tension"].of(there)
-    return told[0], told
+    def values(numbers):
+        step, radius, end = numbers
+        outer_radius = cddf.Piecewise(step[None], [cddf.Constant(20e-3), radius])
+        body, case = paper_with(cddf.Tendon(OFFSET, end=end), outer_radius=outer_radius), cddf.LoadCase(T)
+        view = BodyView(body, jnp.linspace(0.0, L, 15), case, case.solve(body, 8), 8)
+        means = jnp.stack([aim.values(view) for aim in AIMS])
+        return means, (means, BODY_QUANTITIES["tension"].of(view))
 
-
-@pytest.fixture(scope="module")
-def found():
-    """Slopes by the numbers, the values of all aims, and the tension at 15 places."""
-    slopes, told = jax.jit(jax.jacfwd(values, has_aux=True))(np.array([STEP, TIP, END]))
-    return np.asarray(slopes), *map(np.asarray, told)
-
-
-def test_means_between_joints_and_up_to_anchors(found):
-    """A rule of 32 nodes from base to tip is wrong by some per cent, and counts tension beyond the anchor as 0."""
-    plain = Plain((STEP, TIP, END))
-    assert found[1] == pytest.approx(plain.values(), rel=1e-9)
-    reached = np.minimum(np.linspace(0.0, L, 15), END)  # beyond the anchor nothing is less or more than at it
-    assert found[2] == pytest.approx(np.array([[plain.tension(s) for s in reached]]), rel=1e-9)
-
-
-def test_slopes_of_means_between_joints_and_up_to_anchors(found):
-    """By the places of joint and anchor, over which integrands jump, and the radius; central differences, 4th order."""
     numbers, h = np.array([STEP, TIP, END]), 1e-3
+    slopes, (means, tension) = jax.jit(jax.jacfwd(values, has_aux=True))(numbers)
+    plain = Plain(numbers)
+    np.testing.assert_allclose(means, plain.values(), rtol=1e-9)
+    reached = np.minimum(np.linspace(0.0, L, 15), END)  # beyond the anchor nothing is less or more than at it
+    np.testing.assert_allclose(tension, [[plain.tension(s) for s in reached]], rtol=1e-9)
     for i, size in enumerate(numbers):
         move = np.eye(3)[i] * size * h
         near, far = (Plain(numbers + k * move).values() - Plain(numbers - k * move).values() for k in (1, 2))
-        assert found[0][:, i] * size == pytest.approx((8 * near - far) / (12 * h), rel=1e-6, abs=1e-12)
+        np.testing.assert_allclose(slopes[:, i] * size, (8 * near - far) / (12 * h), rtol=1e-6, atol=1e-12)

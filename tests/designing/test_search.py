@@ -4,7 +4,6 @@ A solid rod with a tendon outside, exact kinematics (docs/theory.md, (13) and (1
 T = E (exp(mu phi) - 1) / (mu d H), H = int_0^L ds / J, and J = pi / 4 (R^4 - r^4) has no slope at r = 0.
 """
 
-from functools import lru_cache
 from typing import Any
 
 import jax.numpy as jnp
@@ -55,7 +54,6 @@ def rod(bore):
     return cddf.Manipulator(length=L, outer_radius=outer, inner_radius=inner, tendons=(cddf.Tendon(OFFSET),), **options)
 
 
-@lru_cache
 def bored(bore, most_sag, most_volume=1.0):
     """The least tension for the angle, the bore free from 0 on."""
     return cddf.design(

@@ -31,18 +31,8 @@ def test_a_little_back_from_a_pull():
 
 
 @pytest.mark.slow
-def test_the_way_back_of_displacements():
-    """Loops that close, of a tendon with drag."""
-    body = paper_body("exact", drag=5.0)
-    history = cddf.trace(body, PATH)
-    found = cddf.trace(body, cddf.Displacement(history.tendon_displacement))
-    np.testing.assert_allclose(found.base_tension, PATH, rtol=1e-10)
-    np.testing.assert_array_equal(found.num_turns, history.num_turns)
-
-
-@pytest.mark.slow
 def test_the_way_back_of_tip_angles():
-    """The same loops in closed form, and on from their end: 80 N, the most of all, lets the rest be forgotten."""
+    """Loops that close, and on from their end: 80 N, the most of all, lets the rest be forgotten."""
     body = paper_body("published")
     history = cddf.trace(body, PATH)
     found = cddf.trace(body, cddf.TipAngle(history.tip_angle))
@@ -80,24 +70,28 @@ def test_derivatives_are_those_of_the_inverse():
 
 
 def test_what_came_before():
-    whole = cddf.trace(BODY, PATH)
-    found = cddf.trace(BODY, PATH[1:], before=PATH[0])
-    for name in ("tip_tension", "tip_angle", "front", "num_turns"):
-        np.testing.assert_allclose(getattr(found, name), getattr(whole, name)[1:], rtol=1e-13)
+    """From 75 to 60 N: tip tension, angle and front as test_trace.py has them of a loop of the paper."""
+    found = cddf.trace(BODY, [60.0], before=75.0)
+    tip = found.tip_tension[0], np.degrees(found.tip_angle[0])
+    np.testing.assert_allclose(tip, [45.122927, 67.619267], atol=6e-7)
+    np.testing.assert_allclose(1e3 * found.front, [51.564], atol=6e-4)
+    np.testing.assert_array_equal(found.num_turns, [2])
     with pytest.raises(ValueError, match=r'before must be "rest" or base tensions, N, .*, got .full.'):
         cddf.trace(BODY, [40.0], before="full")  # pyright: ignore[reportArgumentType]
     with pytest.raises(ValueError, match="before and start both give the history"):
-        cddf.trace(BODY, [40.0], before=75.0, start=whole)
+        cddf.trace(BODY, [40.0], before=75.0, start=found)
     with pytest.raises(ValueError, match=r"one number for each step, got the shapes \(\)"):
         cddf.trace(BODY, cddf.Displacement(0.01))
 
 
 @pytest.mark.slow
 def test_a_tension_before_displacements():
-    """The same motions, whose later steps are given as displacements."""
-    whole = cddf.trace(BODY, PATH)
-    found = cddf.trace(BODY, cddf.Displacement(whole.tendon_displacement[1:]), before=PATH[0])
-    for name in ("base_tension", "tip_angle", "front"):
+    """The same motions of a tendon with drag, whose later steps are given as displacements: loops that close."""
+    body = paper_body("exact", drag=5.0)
+    whole = cddf.trace(body, PATH)
+    found = cddf.trace(body, cddf.Displacement(whole.tendon_displacement[1:]), before=PATH[0])
+    np.testing.assert_allclose(found.base_tension, PATH[1:], rtol=1e-10)
+    for name in ("tip_angle", "front", "num_turns"):
         np.testing.assert_allclose(getattr(found, name), getattr(whole, name)[1:], rtol=1e-9)
 
 

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import both_modes
+from bodies import both_modes, paper_body, paper_with
 from refusals import refused
 from scipy.spatial.transform import Rotation
 
@@ -48,15 +48,7 @@ DISPLACED = (
 
 
 def robot(angles, **of_tendons):
-    tendons = tuple(cddf.Tendon(0.010, angle=angle, **of_tendons) for angle in angles)
-    return cddf.Manipulator(
-        length=LENGTH,
-        outer_radius=cddf.Linear(0.020, 0.013, LENGTH),
-        inner_radius=0.007,
-        youngs_modulus=1.4e6,
-        friction_coefficient=0.42,
-        tendons=tendons,
-    )
+    return paper_with(*(cddf.Tendon(0.010, angle=angle, **of_tendons) for angle in angles))
 
 
 THIRDS = (0.0, 2 * PI / 3, 4 * PI / 3)
@@ -105,10 +97,7 @@ RELEASED = np.array([[75.0, 20.0], [60.0, 20.0], [40.0, 20.0]])
 @pytest.fixture(scope="module")
 def plane_and_space():
     """A pair that bends in one plane, described with and without angles."""
-    plane = eqx.tree_at(
-        lambda b: b.tendons, PAIR, (cddf.Tendon(0.010), cddf.Tendon(0.010, side=-1)), is_leaf=lambda x: x is None
-    )
-    return [cddf.trace(body, RELEASED, **FEW) for body in (plane, PAIR)]
+    return [cddf.trace(body, RELEASED, **FEW) for body in (paper_body("exact", num_tendons=2), PAIR)]
 
 
 @pytest.mark.slow

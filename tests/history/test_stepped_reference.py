@@ -5,10 +5,9 @@
 
 import runpy
 
-import equinox as eqx
 import numpy as np
 import pytest
-from bodies import PAPER, paper_body
+from bodies import PAPER, paper_body, stretching
 from places import ROOT
 
 import cddf_jax as cddf
@@ -31,23 +30,15 @@ ERRORS = {"antagonists": [0.004, 0.003, 0.02, 0.02], "push": [0.004, 0.003, 0.00
 EA = 1e4  # N
 
 
-def stretching(num_tendons):
-    body = paper_body("exact", num_tendons=num_tendons)
-    stiffness = [np.asarray(EA)] * num_tendons
-    return eqx.tree_at(lambda b: [t.axial_stiffness for t in b.tendons], body, stiffness, is_leaf=lambda x: x is None)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_trace_meets_the_simulation(name):
     """Within the error of the simulation and the error estimate of `trace`."""
     case = CASES[name]
     tensions = np.array(case.tension)
-    if name == "push":
-        loads = [cddf.Loads(tip_force=force) for force in case.force]
-        history = cddf.trace(stretching(1), tensions[:, 0], loads, short_steps=32)
-    else:
-        history = cddf.trace(stretching(2), tensions, short_steps=32)
+    body = stretching(paper_body("exact", num_tendons=len(case.sides)), EA)
+    loads = [cddf.Loads(tip_force=force) for force in case.force] if name == "push" else None
+    history = cddf.trace(body, tensions, loads, short_steps=32)
     tip = np.asarray(history.tip_tension).reshape(len(tensions), -1)
     found = np.column_stack([np.degrees(history.tip_angle), 1e3 * history.tip_position[:, 1], tip])
     largest = np.max(tip, axis=1)
@@ -65,6 +56,7 @@ def test_the_simulation_still_makes_these_numbers(name):
     np.testing.assert_allclose(rough, STORED[name], rtol=5e-3)
 
 
+@pytest.mark.slow
 def test_the_simulation_of_one_tendon_converges_to_the_exact_trace():
     """It knows no fronts, and its errors fall with the square of the cells; loops within loops, one below the other."""
     path = [60.0, 75.0, 60.0, 40.0, 65.0, 50.0, 20.0, 70.0]

@@ -42,10 +42,6 @@ PLAIN = paper_plain("exact")
 END = MU / MODULUS * PLAIN.compliance(LENGTH)  # g(L)
 
 
-def stiffness(s):
-    return MODULUS * PLAIN.second_moment(s)
-
-
 def play(path, at):
     """T at a place where g has the value `at`, after a path of base tensions from rest."""
     y = np.inf
@@ -125,7 +121,7 @@ def test_a_front_with_drag_against_an_integration(path, drag):
 
     def branch(tension, direction, events=None):
         def rate(s, T):
-            return -direction * (MU * OFFSET / stiffness(s) * T**2 + drag)
+            return -direction * (MU * OFFSET / (MODULUS * PLAIN.second_moment(s)) * T**2 + drag)
 
         options: dict[str, Any] = {"rtol": 1e-12, "atol": 1e-12, "dense_output": True}
         return solve_ivp(rate, (0, LENGTH), [tension], events=events, **options)
@@ -173,11 +169,11 @@ def test_other_bodies_by_their_branches(changes):
 def test_a_pull_alone_is_a_solve():
     tensions = np.linspace(5.0, 75.0, STEPS)
     history = cddf.trace(BODY, tensions)
-    along = history.at(PLACES), history.equilibria
+    along = history.equilibria
     for step, tension in enumerate(tensions):
         found = cddf.solve(BODY, tension)
-        of_solve = found.at(PLACES), found.along
-        jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-11, atol=1e-11), lane(along, step), of_solve)
+        compare = functools.partial(np.testing.assert_allclose, rtol=1e-11, atol=1e-11)
+        jax.tree.map(compare, lane(along, step), found.along)
         np.testing.assert_allclose(history.tendon_displacement[step], found.tendon_displacement[0], rtol=1e-12)
 
 

@@ -1,13 +1,16 @@
 """The body and its tendons: section properties, the paper's shape, what is refused."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import PAPER, paper_body
+from bodies import PAPER, paper_body, paper_with
 from scipy.integrate import dblquad
 
 import cddf_jax as cddf
+from cddf_jax.robot.reshape import stretched
 
 ROUNDING = 1e-13
 S = np.linspace(0, 0.14, 8)
@@ -40,6 +43,29 @@ def test_defaults_are_exact_kinematics_and_the_friction_of_the_manipulator():
     body = cddf.Manipulator(0.14, 0.02, 0.007, tendons, 1.4e6, 0.42)
     np.testing.assert_array_equal(body.tendon_friction, [0.1, 0.42])
     assert (body.kinematics, cddf.conical(**PAPER).kinematics) == ("exact", "exact")
+
+
+def test_everything_along_a_body_is_stretched_with_it():
+    """Twice as long: the value at twice the arc length is the one before, for every kind of profile."""
+    body = paper_with(
+        cddf.Tendon(0.010, end=0.11),
+        cddf.Tendon(cddf.Linear(0.011, 0.009, 0.14), angle=cddf.Linear(0.0, np.pi, 0.14)),
+        inner_radius=cddf.Piecewise([0.05], [0.006, cddf.Linear(0.006, 0.005, 0.14)]),
+        outer_radius=cddf.Spline(np.linspace(0, 0.14, 5), [0.02, 0.019, 0.017, 0.016, 0.013]),
+        rest_curvature=(0.0, cddf.Linear(1.0, 3.0, 0.14), 0.0),
+    )
+    longer = stretched(body, 0.28)
+
+    @jax.jit
+    def along(body, s):
+        return body.radii(s), jax.vmap(body.arms)(s), body.rest_curvature[1](s)
+
+    s = np.linspace(0.0, 0.14, 57)
+    compare = partial(np.testing.assert_allclose, rtol=1e-12, atol=1e-15)
+    jax.tree.map(compare, along(longer, 2 * s), along(body, s))
+    assert longer.tendons[0].end == pytest.approx(0.22, rel=1e-12)
+    assert longer.tendons[1].end is None
+    assert float(longer.length) == 0.28
 
 
 def test_numbers_can_be_traced_and_mapped():

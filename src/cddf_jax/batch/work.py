@@ -6,10 +6,12 @@ other chunks.
 """
 
 import errno
+import itertools
 import json
+import math
 import os
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +20,6 @@ import numpy as np
 
 from ..errors import InputError, needed
 from ..progress import stage
-from .chunks import Layout, Region, count, not_computed
 from .drafts import in_one_step
 
 if TYPE_CHECKING:
@@ -27,6 +28,57 @@ if TYPE_CHECKING:
 COPIES = 3  # of a chunk in memory: as it is computed, gathered, written
 IDENTITY = "identity"
 REMEDY = "give another path, or delete it"
+Region = dict[str, slice]  # of a chunk, by dimension
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A dataset before it is computed, and its chunks."""
+
+    empty: "xarray.Dataset"  # its arrays are `not_computed`, and are written in this order
+    chunks: dict[str, int]  # along the dimensions that all arrays have first, by name and in their order
+
+    @property
+    def size(self) -> int:
+        """The number of items: combinations along the common dimensions."""
+        return math.prod(self.empty.sizes[name] for name in self.chunks)
+
+    @property
+    def bytes_each(self) -> int:
+        """Bytes of the answer for each item."""
+        return sum(array.nbytes for array in self.empty.data_vars.values()) // self.size
+
+    @property
+    def chunk_size(self) -> int:
+        return math.prod(self.chunks.values())
+
+    def regions(self) -> Iterator[Region]:
+        """The places of all chunks along the common dimensions, in the order of the answer."""
+        sizes = self.empty.sizes
+        along = ([slice(i, min(i + n, sizes[d])) for i in range(0, sizes[d], n)] for d, n in self.chunks.items())
+        return (dict(zip(self.chunks, places, strict=True)) for places in itertools.product(*along))
+
+
+def not_computed(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
+    """An array in which nothing has been computed yet: NaN, false or -1 everywhere, in no more memory than one."""
+    return np.broadcast_to(np.array({"f": np.nan, "b": False}.get(dtype.kind, -1), dtype), shape)
+
+
+def count(region: Region) -> int:
+    """The number of items in a chunk."""
+    return math.prod(places.stop - places.start for places in region.values())
+
+
+def even_chunks(sizes: Sequence[int], most: int, single: Sequence[bool]) -> tuple[int, ...]:
+    """Chunks of nearly equal size with no more than `most` items; the last dimensions are not divided if possible.
+
+    `single` says of each dimension whether a chunk has the length 1 along it.
+    """
+    chunks: list[int] = []
+    for size, alone in zip(reversed(sizes), reversed(single), strict=True):
+        longest = 1 if alone else max(most // math.prod(chunks), 1)
+        chunks.append(-(-size // -(-size // longest)))
+    return tuple(reversed(chunks))
 
 
 def carry_out(
@@ -47,46 +99,56 @@ def carry_out(
         out: path of a Zarr store; None for memory.
         free: memory, bytes.
     """
-    store = _in_memory(layout, free) if out is None else _on_disk(out, layout, identity)
-    layout, rank, ranks = store.layout, jax.process_index(), jax.process_count()
+    if out is None:
+        _check_memory(layout, free)
+        answer = layout.empty.copy(deep=True)
+        arrays = {str(name): array.values for name, array in answer.data_vars.items()}
+        _compute(layout, arrays, chunk, lambda region: False)
+        return answer
+    path = Path(out)
+    layout, arrays = _opened(path, layout, identity)
+    try:
+        _compute(layout, arrays, chunk, lambda region: _is_complete(path, layout, arrays, region))
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        raise InputError(f"{path}: the disk is full; free some of it and start the same work again") from None
+    return needed("xarray").open_zarr(path, chunks=None, consolidated=False)[[*arrays]]  # as they were asked for
+
+
+def _compute(
+    layout: Layout,
+    arrays: Mapping[str, Any],
+    chunk: Callable[[Layout, Region], Mapping[str, np.ndarray]],
+    has: Callable[[Region], bool],
+) -> None:
+    """Write the chunks of this process that the arrays do not have yet."""
+    rank, ranks = jax.process_index(), jax.process_count()
     mine = [region for i, region in enumerate(layout.regions()) if i % ranks == rank]
-    missing = [region for region in mine if not store.has(region)]
+    missing = [region for region in mine if not has(region)]
     total, left = (sum(map(count, some)) for some in (mine, missing))
     done = False
     try:
         with stage("solving", total, total - left) as now:
             for region in missing:
-                store.write(region, chunk(layout, region))
+                blocks = chunk(layout, region)
+                for name, array in arrays.items():
+                    array[tuple(region.values())] = blocks[name]
                 now.done += count(region)
         done = True
     finally:
         all_done = _all_say("done", done)
     if not all_done:
         raise InputError("another process failed, and says why; complete chunks are kept: start the same work again")
-    return store.dataset()
 
 
-def _in_memory(layout: Layout, free: float) -> "Memory":
+def _check_memory(layout: Layout, free: float) -> None:
+    """Refuse work whose result does not fit into the memory of this process."""
     if jax.process_count() > 1:
         raise InputError(f"{jax.process_count()} processes need out=, a store that all of them reach")
     wanted = layout.bytes_each * (layout.size + COPIES * layout.chunk_size)
     if wanted > free:
         raise InputError(f"this takes {wanted / 1e6:.4g} MB of memory, {free / 1e6:.4g} MB are free; give out=")
-    return Memory(layout)
-
-
-def _on_disk(path: str | os.PathLike[str], layout: Layout, identity: Callable[[], Mapping[str, object]]) -> "ZarrStore":
-    store, trouble = None, None
-    for create in (True, False):  # process 0 makes it, then the others open it
-        try:
-            if (jax.process_index() == 0) == create:
-                store = ZarrStore(path, layout, identity(), create=create)
-        except (InputError, OSError) as error:
-            trouble = error
-        if not _all_say("store", trouble is None):
-            raise trouble or InputError(f"{path}: another process could not use the store, and says why")
-    assert store is not None
-    return store
 
 
 def _all_say(what: str, good: bool) -> bool:
@@ -99,69 +161,47 @@ def _all_say(what: str, good: bool) -> bool:
     return bool(np.all(multihost_utils.process_allgather(np.array(good))))
 
 
-# --- where the result goes -------------------------------------------------------------------------
+# --- the store -------------------------------------------------------------------------------------
 
 
-class Memory:
-    """Keeps everything in memory."""
+def items_there(path: Path, layout: Layout, identity: Mapping[str, object]) -> int:
+    """The number of items that the store at the path has already."""
+    if not path.exists():
+        return 0
+    layout, arrays = _same_work(path, layout, identity)
+    return sum(count(region) for region in layout.regions() if _is_complete(path, layout, arrays, region))
 
-    def __init__(self, layout: Layout):
-        self.layout, self._answer = layout, layout.empty.copy(deep=True)
 
-    def has(self, region: Region) -> bool:
+def _opened(path: Path, layout: Layout, identity: Callable[[], Mapping[str, object]]) -> tuple[Layout, dict[str, Any]]:
+    """As `_same_work`; the store is made if it is missing."""
+    needed("zarr")
+    opened, trouble = (layout, {}), None
+    for first in (True, False):  # process 0 makes it, then the others open it
+        try:
+            if (jax.process_index() == 0) == first:
+                asked = identity()
+                if first and not path.exists():
+                    _create(path, layout, asked)
+                opened = _same_work(path, layout, asked)
+        except (InputError, OSError) as error:
+            trouble = error
+        if not _all_say("store", trouble is None):
+            raise trouble or InputError(f"{path}: another process could not use the store, and says why")
+    return opened
+
+
+def _is_complete(path: Path, layout: Layout, arrays: Mapping[str, Any], region: Region) -> bool:
+    """Whether every file of a chunk is there, and none is empty or damaged, as after a power cut."""
+    place = [places.start // layout.chunks[name] for name, places in region.items()]
+    try:
+        for name, array in arrays.items():
+            file = path.joinpath(name, "c", *map(str, place), *"0" * (array.ndim - len(place)))
+            if not file.exists():  # Zarr would read missing values
+                return False
+            array[tuple(region.values())]
+    except (RuntimeError, ValueError, OSError):  # a decompressor that fails, or a block of another size
         return False
-
-    def write(self, region: Region, blocks: Mapping[str, np.ndarray]) -> None:
-        for name, block in blocks.items():
-            self._answer[name][region] = block
-
-    def dataset(self) -> "xarray.Dataset":
-        return self._answer
-
-
-class ZarrStore:
-    """A Zarr store on disk.
-
-    If it exists already, the work goes on with its chunks. A store of other work, or of another program, is refused.
-    The identity is all that the result depends on, JSON. `create` says whether this process makes a missing store.
-    """
-
-    def __init__(
-        self, path: str | os.PathLike[str], layout: Layout, identity: Mapping[str, object], *, create: bool = True
-    ):
-        needed("zarr")
-        self.path = Path(path)
-        if create and not self.path.exists():
-            _create(self.path, layout, identity)
-        self._arrays = _same_work(self.path, layout, identity)
-        *_, last = self._arrays.values()
-        self.layout = replace(layout, chunks=dict(zip(layout.chunks, last.chunks, strict=False)))
-
-    def has(self, region: Region) -> bool:
-        """Whether a chunk is complete: every file is there, and none is empty or damaged, as after a power cut."""
-        place = [places.start // self.layout.chunks[name] for name, places in region.items()]
-        try:
-            for name, array in self._arrays.items():
-                file = self.path.joinpath(name, "c", *map(str, place), *"0" * (array.ndim - len(place)))
-                if not file.exists():  # Zarr would read missing values
-                    return False
-                array[tuple(region.values())]
-        except (RuntimeError, ValueError, OSError):  # a decompressor that fails, or a block of another size
-            return False
-        return True
-
-    def write(self, region: Region, blocks: Mapping[str, np.ndarray]) -> None:
-        try:
-            for name, array in self._arrays.items():
-                array[tuple(region.values())] = blocks[name]
-        except OSError as error:
-            if error.errno not in (errno.ENOSPC, errno.EDQUOT):
-                raise
-            raise InputError(f"{self.path}: the disk is full; free some of it and start the same work again") from None
-
-    def dataset(self) -> "xarray.Dataset":
-        found = needed("xarray").open_zarr(self.path, chunks=None, consolidated=False)
-        return found[[*self._arrays]]  # in the order in which they were asked for
+    return True
 
 
 def _create(path: Path, layout: Layout, identity: Mapping[str, object]) -> None:
@@ -184,8 +224,8 @@ def _create(path: Path, layout: Layout, identity: Mapping[str, object]) -> None:
             )
 
 
-def _same_work(path: Path, layout: Layout, identity: Mapping[str, object]) -> dict[str, Any]:
-    """The arrays of the store at the path, if it holds the same work."""
+def _same_work(path: Path, layout: Layout, identity: Mapping[str, object]) -> tuple[Layout, dict[str, Any]]:
+    """The layout of the store at the path, which has chunks of its own, and its arrays, if it holds the same work."""
     zarr = needed("zarr")
     try:
         group = zarr.open_group(path, mode="r+")
@@ -199,7 +239,9 @@ def _same_work(path: Path, layout: Layout, identity: Mapping[str, object]) -> di
     if lost := [name for name in layout.empty.data_vars if name not in group]:
         raise InputError(f"{path} is damaged: its array {lost[0]!r} cannot be read; {REMEDY}")
     with zarr.config.set({"array.write_empty_chunks": True}):  # a chunk in which all solves failed has its files too
-        return {str(name): group[name] for name in layout.empty.data_vars}
+        arrays = {str(name): group[name] for name in layout.empty.data_vars}
+    *_, last = arrays.values()
+    return replace(layout, chunks=dict(zip(layout.chunks, last.chunks, strict=False))), arrays
 
 
 def _short(value: object) -> str:

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -35,14 +35,10 @@ class BodyView:
 
     body: Manipulator
     arc_length: Float[Array | np.ndarray, " points"]  # m
-    case: LoadCase | None = None  # None where only the body matters
-    solution: Equilibrium | None = None  # of the body in that case
+    # None where only the body matters; `Any` in place of None, as most quantities need both
+    case: LoadCase | Any = None
+    equilibrium: Equilibrium | Any = None  # of the body in that case
     nodes: int = 16  # of the solver
-
-    @property
-    def equilibrium(self) -> Equilibrium:
-        assert self.solution is not None
-        return self.solution
 
     @cached_property
     def along(self) -> AnyFields:
@@ -58,8 +54,8 @@ class BodyView:
     @cached_property
     def elements(self) -> Elements:
         """Elements that end where quantities are not smooth: those of the equilibrium, else between the joints."""
-        if self.solution is not None:
-            return self.solution.elements
+        if self.equilibrium is not None:
+            return self.equilibrium.elements
         return elements_between(smooth_pieces(jnp.asarray(self.body.length), self.body.breakpoints), BODY_NODES)
 
 
@@ -155,7 +151,6 @@ def _tension(view: BodyView) -> Array:
 
 def _stiffness(direction: Callable[[Equilibrium], Array]) -> Callable[[BodyView], Array]:
     def stiffness(view: BodyView) -> Array:
-        assert view.case is not None
         found = view.equilibrium
         loads = Loads() if view.case.loads is None else view.case.loads
         loads = loads.with_components(found.tip_position.shape[-1])
@@ -180,8 +175,6 @@ def _towards(axis: int) -> Callable[[Equilibrium], Array]:
 
 def _hysteresis(view: BodyView) -> Array:
     """The tip angle at a tension during release minus that during pull, in a loop that repeats."""
-    assert view.case is not None
-    assert view.case.loop is not None
     (low, high), base = jnp.asarray(view.case.loop), view.equilibrium.base_tension
     path = jnp.stack([base.at[0].set(high), base, base.at[0].set(low), base])
     how = {"nodes": view.nodes, "max_turns": 3, "short_steps": SHORT_STEPS, "estimate_error": False, "throw": False}

@@ -87,21 +87,13 @@ class LocalMinimum(NamedTuple):
 VectorFunction = Callable[[Vector], Point]  # an objective and its limits, with derivatives
 
 
-def minimise_constrained(
-    function: VectorFunction,
-    start: Vector,
-    lower: Vector,
-    upper: Vector,
-    *,
-    max_iterations: int = ITERATIONS,
-) -> LocalMinimum:
+def minimise_constrained(function: VectorFunction, start: Vector, lower: Vector, upper: Vector) -> LocalMinimum:
     """Search from one start with SLSQP, which creeps along a limit that bends with the objective: there it is stopped.
 
     Args:
         function: values and exact first derivatives anywhere within the bounds.
         start: (unknowns,), usable.
         lower, upper: bounds of the unknowns, infinite for none.
-        max_iterations: at most.
     """
     seen = _Seen(function, np.clip(start, lower, upper))
     equal = seen.last.equal
@@ -117,7 +109,7 @@ def minimise_constrained(
             ],
             method="SLSQP",
             callback=seen.after_iteration,
-            options={"maxiter": max_iterations, "ftol": 1e-14},
+            options={"maxiter": ITERATIONS, "ftol": 1e-14},
         )
         seen.iterations = found.nit
         last, most = seen(np.clip(found.x, lower, upper)), max(TOLERANCE, seen.best.violation)

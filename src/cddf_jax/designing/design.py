@@ -21,7 +21,7 @@ from ..units import quantity
 from .free_numbers import Bounds, FreeNumbers, free_numbers_of
 from .load_cases import LoadCase, case_numbers
 from .objectives import Least, Limit, Objective
-from .problem import USABLE, DesignEvaluation, DesignProblem, Kept, Term
+from .problem import USABLE, DesignProblem, Kept, Term
 from .results import Design, design_of, displayed
 from .search import WANDERING, search_designs, search_starts
 
@@ -186,7 +186,15 @@ def _sized(problem: DesignProblem) -> DesignProblem:
     The size of a limit is that of its largest bound, or for a limit of zero that of the quantity at the start.
     """
     found = problem.evaluation(problem.free.scaled_start)
-    _demand_start(problem, found)
+    for case, code in zip(problem.cases, np.asarray(found.codes), strict=True):
+        if code not in USABLE:
+            said = words_of(code)
+            raise InputError(f"design: the start has no equilibrium in {case.name or 'its load case'}: {said}")
+    parts = [*(term.objective for term in problem.terms), *(kept.limit for kept in problem.limits)]
+    for part, values in zip(parts, (*found.aims, *found.margins), strict=True):
+        if not np.all(np.isfinite(values)):
+            name = str(part)
+            raise InputError(f"design: {name!r} has no finite value for the start; look at its places and its formula")
 
     def sized(part: Part, values: ArrayLike, bounds: Iterable[ArrayLike] = ()) -> Part:
         stated = max((float(np.abs(bound)) for bound in bounds), default=0.0)
@@ -247,15 +255,3 @@ def _check(
         with within(f"design: {case.name or 'the load case'}", ValueError):
             check_targets(body, split_actuation(body, case.base_tension)[1])
         check_loads(case.body(body), case.loads)
-
-
-def _demand_start(problem: DesignProblem, found: DesignEvaluation) -> None:
-    for case, code in zip(problem.cases, np.asarray(found.codes), strict=True):
-        if code not in USABLE:
-            said = words_of(code)
-            raise InputError(f"design: the start has no equilibrium in {case.name or 'its load case'}: {said}")
-    parts = [*(term.objective for term in problem.terms), *(kept.limit for kept in problem.limits)]
-    for part, values in zip(parts, (*found.aims, *found.margins), strict=True):
-        if not np.all(np.isfinite(values)):
-            name = str(part)
-            raise InputError(f"design: {name!r} has no finite value for the start; look at its places and its formula")

@@ -109,8 +109,11 @@ def _searched(problem: DesignProblem, num: int) -> list[SearchResult]:
     """Search results from one end of the front to the other; a gap beside an infeasible result is not divided."""
 
     def best(small: int, level: float, *starts: np.ndarray) -> SearchResult:
-        """Make one objective small under a level of the other."""
-        return search_designs(_at(problem, small, level), starts)
+        """Make one objective small under a level of the other, which may be infinite."""
+        weights, levels = jnp.full(2, SECOND).at[small].set(1.0), jnp.full(2, jnp.inf).at[1 - small].set(level)
+        terms = zip(problem.terms, weights, levels, strict=True)
+        weighed = tuple(replace(term, weight=own, most=most) for term, own, most in terms)
+        return search_designs(replace(problem, terms=weighed), starts)
 
     starts = search_starts(problem)
     first = best(0, np.inf, *starts)
@@ -127,10 +130,3 @@ def _searched(problem: DesignProblem, num: int) -> list[SearchResult]:
         level = float(np.mean(raw[i : i + 2, wide]))
         found.insert(i + 1, best(1 - wide, level, found[i].z, found[i + 1].z))
     return found
-
-
-def _at(problem: DesignProblem, small: int, level: float) -> DesignProblem:
-    """The problem in which one objective is made small, and the other is below a level, which may be infinite."""
-    weights, levels = jnp.full(2, SECOND).at[small].set(1.0), jnp.full(2, jnp.inf).at[1 - small].set(level)
-    terms = zip(problem.terms, weights, levels, strict=True)
-    return replace(problem, terms=tuple(replace(term, weight=own, most=most) for term, own, most in terms))

@@ -73,12 +73,6 @@ class DesignProblem(eqx.Module):
         return tuple(i for i, term in enumerate(self.terms) if term.objective.peak or self.worst)
 
     @property
-    def shares(self) -> Float[Array, " cases"]:
-        """The weights of the load cases; their sum is one."""
-        weights = jnp.stack([jnp.asarray(case.weight) for case in self.cases])
-        return weights / jnp.sum(weights)
-
-    @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Of the unknowns."""
         ranges, heights = self.free.ranges, np.full(len(self.peaks), np.inf)
@@ -173,8 +167,8 @@ class DesignProblem(eqx.Module):
 
     def mean(self, aim: Float[Array | np.ndarray, " cases"]) -> Float[Array, ""]:
         """The mean over the cases by their weights."""
-        aim = jnp.asarray(aim)
-        return aim[0] if aim.shape[0] == 1 else self.shares @ aim
+        aim, weights = jnp.asarray(aim), jnp.stack([jnp.asarray(case.weight) for case in self.cases])
+        return aim[0] if aim.shape[0] == 1 else (weights / jnp.sum(weights)) @ aim
 
 
 def pieces_of(flat: np.ndarray, like: Sequence[Array | np.ndarray]) -> list[np.ndarray]:

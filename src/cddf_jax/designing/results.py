@@ -1,7 +1,7 @@
 """The result of a design: the body, its objectives, the limits that bind, and the proof that it is the best nearby."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -11,17 +11,21 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from ..files.writing import markdown_table
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import Equilibrium
 from ..statics.named_numbers import Case, tip_of_winding
 from ..statics.status import Status, words_of
-from ..units import Dimension
+from ..units import Dimension, preferred, shown
 from .constrained import ACTIVE, TOLERANCE
-from .free_numbers import PLACE
+from .free_numbers import PLACE, dimension_of_number, number_in_words
 from .load_cases import LoadCase, case_numbers
 from .problem import DesignProblem, Values, pieces_of
 from .search import SearchResult, undetermined
 
+LARGEST = 12  # sensitivities in the report
+NOT_IN_JSON = ("manipulator", "start", "cases", "outcome")
+KINK = "not unique: limits bind at one place"
 Fixed = tuple[int | None, str]  # a number that is not free: its load case, None for the body; and its name there
 Choices = tuple[tuple[dict[str, float], float], ...]  # numbers by name, and the objective that was reached with them
 
@@ -91,9 +95,16 @@ class Design:
     outcome: SearchResult = field(repr=False)
 
     def __str__(self) -> str:
-        from .report import design_in_words
+        """The report as Markdown."""
+        return "\n".join([*_head(self), *_numbers(self), *_limits(self), *_sensitivity(self), *_foot(self)])
 
-        return design_in_words(self)
+    def as_dict(self) -> dict[str, object]:
+        """The design for JSON, SI units."""
+        own = {each.name: getattr(self, each.name) for each in fields(self) if each.name not in NOT_IN_JSON}
+        return own | {
+            "sensitivity": self.sensitivity if _follows(self) else {},
+            "choices": [{"numbers": values, "objective": objective} for values, objective in self.choices],
+        }
 
     @cached_property
     def sensitivity(self) -> dict[str, float]:
@@ -138,18 +149,22 @@ def design_of(
     outcome: SearchResult, start: Manipulator, choices: Choices = (), chosen: dict[str, float] | None = None
 ) -> Design:
     """The result of a search, with everything that is reported."""
-    problem, local = outcome.problem, outcome.local
-    body, objectives = jax.tree.map(np.asarray, problem.body(outcome.z)), achieved(outcome)
-    codes = zip(problem.cases, outcome.evaluation.codes, strict=True)
+    problem, local, objectives = outcome.problem, outcome.local, []
+    body, at_start, at_end = problem.body(outcome.z), problem.evaluation(problem.free.scaled_start), outcome.evaluation
+    for i, term in enumerate(problem.terms):
+        aim, values = term.objective, (problem.over_the_cases(i, each.aims[i]) for each in (at_start, at_end))
+        start_value, end_value = (aim.displayed(float(value)) for value in values)
+        objectives.append(Achieved(str(aim), start_value, end_value, float(term.weight), aim.dimension))
+    codes = zip(problem.cases, at_end.codes, strict=True)
     result = design_result(outcome)
     return Design(
-        manipulator=body,
+        manipulator=jax.tree.map(np.asarray, body),
         start=start,
         success=result == "successful",
         feasible=outcome.feasible,
         result=result,
         objective=objectives[0].end if len(objectives) == 1 else local.point.objective,
-        objectives=objectives,
+        objectives=tuple(objectives),
         free=free_numbers(outcome),
         limits=limit_reports(outcome, float(body.length)),
         blocking=outcome.blocking,
@@ -195,17 +210,6 @@ def displayed(problem: DesignProblem, value: float) -> float:
         return value
     (term,) = problem.terms
     return term.objective.displayed(value * float(term.size) / float(term.weight))
-
-
-def achieved(outcome: SearchResult) -> tuple[Achieved, ...]:
-    """Each objective at the start and at the end."""
-    problem, found = outcome.problem, []
-    at_start, at_end = problem.evaluation(problem.free.scaled_start), outcome.evaluation
-    for i, term in enumerate(problem.terms):
-        aim, values = term.objective, (problem.over_the_cases(i, each.aims[i]) for each in (at_start, at_end))
-        start, end = (aim.displayed(float(value)) for value in values)
-        found.append(Achieved(str(aim), start, end, float(term.weight), aim.dimension))
-    return tuple(found)
 
 
 # --- what binds ----------------------------------------------------------------------------------
@@ -262,16 +266,16 @@ def fixed_numbers(problem: DesignProblem) -> dict[Fixed, float]:
     free |= {tip_of_winding(name) for name in free}
     body = problem.manipulator
     set_by_cases = {name for case in problem.cases for name in case.numbers}
-    of_body = _numbers(case_numbers(body))
+    of_body = _numbers_of(case_numbers(body))
     found: dict[Fixed, float] = {(None, name): x for name, x in of_body.items() if name not in free | set_by_cases}
     for i, case in enumerate(problem.cases):
         if len(case.numbers) == 0 or len(problem.cases) == 1:
-            acting = _numbers(replace(case, direction=None).of(body))
+            acting = _numbers_of(replace(case, direction=None).of(body))
             found |= {(i, name): x for name, x in acting.items() if name not in {*of_body, *free}}
     return found
 
 
-def _numbers(case: Case) -> dict[str, float]:
+def _numbers_of(case: Case) -> dict[str, float]:
     """The numbers of a case by name, without arc lengths."""
     return {name: float(np.asarray(number)) for name, number in case.numbers.items() if not PLACE.search(name)}
 
@@ -291,3 +295,113 @@ def with_fixed(problem: DesignProblem, numbers: Mapping[Fixed, Array]) -> Design
 def _slopes(problem: DesignProblem, x: Array, fixed: tuple[Fixed, ...], numbers: Array) -> Values:
     """The derivatives of objective and margins by fixed numbers, on the last axis."""
     return jax.jacfwd(lambda numbers: with_fixed(problem, dict(zip(fixed, numbers, strict=True))).values(x)[0])(numbers)
+
+
+# --- in words --------------------------------------------------------------------------------------
+
+
+def _head(found: Design) -> Iterator[str]:
+    yield f"# Design: {found.result}"
+    yield ""
+    for each in found.objectives:
+        yield f"- {each.name}: {shown(each.start, each.dimension)} -> {shown(each.end, each.dimension)}"
+    for name in found.blocking:
+        yield f"- in the way: {name}"
+    if found.blocking:
+        yield "- no body nearby keeps to all of these; relax one of them, or start elsewhere"
+    for name, value in found.chosen.items():
+        yield f"- chosen: {name} = {number_in_words(name, value)}"
+    for values, objective in found.choices:
+        numbers = ", ".join(f"{name} = {number_in_words(name, value)}" for name, value in values.items())
+        yield f"- with {numbers}: {_objective(found, objective)}"
+    for remark in found.remarks:
+        yield f"- {remark}"
+    yield ""
+
+
+def _objective(found: Design, value: float) -> str:
+    """The objective in words: the value of one, or the weighted sum of several."""
+    if not np.isfinite(value):
+        return "not feasible"
+    return shown(value, found.objectives[0].dimension) if len(found.objectives) == 1 else f"{value:.5g}"
+
+
+def _numbers(found: Design) -> Iterator[str]:
+    rows = []
+    for name, free in found.free.items():
+        start, value, lower, upper = (number_in_words(name, x) for x in free[:4])
+        worth = "" if free.status == "inside" else _worth(found, free.multiplier, dimension_of_number(name))
+        rows.append((name, start, value, f"{lower} to {upper}", free.status, worth))
+    head = ("free number", "start", "design", "bounds", "", "gain by a wider bound")
+    yield from markdown_table(head, rows, right=("start", "design"))
+    yield ""
+
+
+def _limits(found: Design) -> Iterator[str]:
+    rows, signs = [], {"least": ">=", "most": "<=", "equal": "="}
+    for limit in found.limits:
+        bound, reached = shown(limit.limit, limit.dimension), shown(limit.reached, limit.dimension)
+        text = f"{limit.name} {signs[limit.side]} {bound}{' (implied)' if limit.implied else ''}"
+        place = "" if np.isnan(limit.arc_length) else f"s = {shown(limit.arc_length, 'length')}"
+        where = ", ".join(part for part in (limit.case, place) if part)
+        worth = _worth(found, limit.multiplier, limit.dimension) if limit.active else ""
+        rows.append((text, reached, where, "broken" if limit.margin < -TOLERANCE else worth))
+    yield from markdown_table(("limit", "reached", "where", "gain by relaxing it"), rows, right=("reached",))
+    yield ""
+
+
+def _worth(found: Design, slope: float, dimension: Dimension) -> str:
+    """A derivative of the objective in preferred units."""
+    if not _follows(found):
+        return ""
+    if np.isnan(slope):
+        return KINK
+    size, unit = preferred(found.objectives[0].dimension) if len(found.objectives) == 1 else (1.0, "")
+    step, per = preferred(dimension)
+    return f"{slope * size / step:.4g}{' ' + unit if unit else ''}{f' per {per}' if per else ''}"
+
+
+def _sensitivity(found: Design) -> Iterator[str]:
+    """The largest logarithmic derivatives of the objective, if neither it nor the number is zero."""
+    if not _follows(found):
+        return
+    size, rows, kinks = abs(found.objective), {}, []
+    numbers = zip(fixed_numbers(found.outcome.problem).values(), found.sensitivity.items(), strict=True)
+    for value, (name, slope) in numbers:
+        change = slope * value
+        if dimension_of_number(name.split(": ")[-1]) == "angle":  # which has no size
+            name, change = f"{name}, by 1 deg", slope * np.radians(1.0) / 0.01
+        if np.isnan(slope):
+            kinks.append(name)
+        elif size > 0 and abs(change) > 1e-9 * size:
+            rows[name] = change / size
+    largest = sorted(rows.items(), key=lambda item: -abs(item[1]))[:LARGEST]
+    lines = [(name, f"{percent:+.3g} %") for name, percent in largest]
+    if kinks:
+        lines.append((", ".join(kinks), KINK))
+    several = "" if len(found.objectives) == 1 else " (of several: their weighted sum)"
+    head = f"how the best objective follows{several}", "change by 1 % changes it by"
+    yield from markdown_table(head, lines, right=head[1:])
+    yield ""
+
+
+def _follows(found: Design) -> bool:
+    """Whether relative changes of the best objective are meaningful; for `Near` and `Even` the best value is zero."""
+    kinds = {each.name.split()[0] for each in found.objectives}
+    return found.feasible and not (len(found.objectives) == 1 and kinds & {"near", "even"})
+
+
+def _foot(found: Design) -> Iterator[str]:
+    if len(found.objectives) > 1:
+        weights = ", ".join(f"{each.weight:g}" for each in found.objectives)
+        yield (
+            f"Each objective counts relative to its size at the start; weights {weights}: "
+            f"together {found.objective:.5g}."
+        )
+    yield (
+        f"Largest violation {found.violation:.1g} and first-order optimality {found.optimality:.1g} (scaled; "
+        f"{TOLERANCE:g} is asked for)."
+    )
+    if len(found.starts) > 1:
+        ends = ", ".join(_objective(found, value) for value in found.starts)
+        yield f"Searches from {len(found.starts)} starts ended at {ends}."

@@ -24,9 +24,8 @@ from ..statics.equilibrium import Dense
 from ..statics.solve import solve
 from ..statics.status import Status, first_of
 from .fronts import Motion, cut_at, front_of
-from .turns import NO_STEP, Turns
+from .turns import NO_STEP, Number, Turns
 
-Number = Float[Array, ""]
 Heading = Float[Array, "*axes"]  # phi, rad, in the plane; in space R, whose columns are the axes, (3, 3)
 
 

@@ -20,9 +20,8 @@ from ..numerics.fixed_point import picard
 from ..robot.manipulator import Manipulator
 from .congruent_parts import Heading, ends_of_motion, pose_of_base, slid_up_to, tilt_of, turned_back, turned_on
 from .fronts import Motion
-from .turns import NO_STEP, Stack, Turns, go_on
+from .turns import NO_STEP, Number, Stack, Turns, go_on
 
-Number = Float[Array, ""]
 DOUBLINGS = 24  # of a tension, until it is large enough
 EVALUATIONS = 60  # at most; most searches take ten
 

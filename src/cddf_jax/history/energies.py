@@ -21,9 +21,8 @@ from ..robot.manipulator import Manipulator
 from ..statics.solve import solve
 from .congruent_parts import ends_of_motion
 from .fronts import Motion, is_play_of_inverse
-from .turns import NO_STEP, Turns
+from .turns import NO_STEP, Number, Turns
 
-Number = Float[Array, ""]
 WorkAndLoss = Float[Array, "... 2"]  # J
 REFINEMENTS = 5  # of the tension at which a front passes an arc length, by Newton's method
 

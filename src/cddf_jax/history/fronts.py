@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, UInt
 from ..mechanics import bending, space
 from ..mechanics.friction import Pull, tension_rate
 from ..mechanics.march import FixedPoint
-from ..mechanics.problem import Problem, guarded_section, lay_out
+from ..mechanics.problem import guarded_section, lay_out
 from ..numerics.arrays import zero_as
 from ..numerics.elements import Elements
 from ..numerics.fixed_point import newton
@@ -62,10 +62,11 @@ def front_of(body: Manipulator, nodes: int, motion: Motion, *, refined: bool = T
     body, tension, direction, turned_at = jax.lax.stop_gradient((body, tension, direction, turned_at))
     length = jnp.asarray(body.length)
     ends = (tension, direction), (turned_at, -direction)
-    (here, pull), (_, other) = (_slide(body, nodes, *end) for end in ends)
+    slides = [lay_out(body, at_base[None], way[None], nodes) for at_base, way in ends]
+    pull, other = (FixedPoint()(problem).nodes.pull for problem in slides)
     # in T = (T_base - c) / r both r and c are smooth, also beyond the place where a released tendon would lock
     gap = direction * (_left(tension, pull) * other.ratio - _left(turned_at, other) * pull.ratio)
-    front = jnp.clip(_first_zero(here.elements, gap[..., 0]), LEAST * length, length)
+    front = jnp.clip(_first_zero(slides[0].elements, gap[..., 0]), LEAST * length, length)
     if refined and not is_play_of_inverse(body):  # else r is a polynomial, and the front is exact already
         found = newton(partial(_nearer, body, nodes, ends), front, REFINEMENTS)
         front = jnp.where(front < length, found, front)
@@ -98,12 +99,6 @@ def _slope(body: Manipulator, place: Number, tension: Number, direction: Number)
     section = planar(guarded_section(body, place))
     turning = bending.turning(section, bending.curvature(section, given[0]), *given)
     return tension_rate(given[1], section, turning, given[0])[0]
-
-
-def _slide(body: Manipulator, nodes: int, tension: Number, direction: Number) -> tuple[Problem, Pull]:
-    """The integrated friction at the nodes."""
-    problem = lay_out(body, tension[None], direction[None], nodes)
-    return problem, FixedPoint()(problem).nodes.pull
 
 
 def _left(tension: Number, pull: Pull) -> Float[Array, "*points"]:

@@ -22,10 +22,9 @@ from jaxtyping import Array, Bool, Float, Int
 from ..numerics import tolerances as tol
 from ..numerics.arrays import all_finite, largest_size, varying_as, zero_as
 from ..numerics.fixed_point import slope_along, solve_small
-from .grid import Element, Given, Goal, Grid, Missing, Node, missing
+from .grid import Element, Given, Goal, Grid, Missing, Node, Number, missing
 
 FOUND = "found"  # the name of what Newton's method finds, which the reverse mode keeps
-Number = Float[Array, ""]
 PerElement = Float[Array, "K tendons"]
 ByNodes = Float[Array, "K rows 2 unknowns"]  # derivatives of the residuals of elements by the nodes at both ends
 

@@ -13,10 +13,9 @@ from ..mechanics.problem import State
 from ..numerics.arrays import largest_size
 from ..robot.cross_section import where_present
 from ..statics.equilibrium import nan_unless
-from .grid import Along, Given, Goal, Grid, Node, along
+from .grid import Along, Given, Goal, Grid, Node, Number, along
 from .increment import OnGrid, Setting, after_increment
 
-Number = Float[Array, ""]
 AT_LIMIT = 1e-3  # a tendon counts as sliding where |z| is above 1 less this
 
 

@@ -69,24 +69,6 @@ def as_numbers(values: object, name: str) -> Array:
     return array.astype(jnp.result_type(float, array))
 
 
-def _entries_of(base_tension: Driven) -> Sequence[object]:
-    """One for each tendon, or a single one.
-
-    Raises:
-        TypeError: for targets of `solve` that drive no tendon along a path.
-    """
-    entries = base_tension if isinstance(base_tension, tuple | list) else [base_tension]
-    for entry in entries:
-        if isinstance(entry, eqx.Module) and not isinstance(entry, AlongAPath):
-            kinds = ", ".join(kind.__name__ for kind in get_args(AlongAPath))
-            raise TypeError(
-                f"trace: a path may hold base tensions, {kinds}, got {type(entry).__name__}; give the tension or the "
-                "length pulled in after each step (solve finds tensions without a history: they are right up to the "
-                "first turn only)"
-            )
-    return entries
-
-
 def given_path(
     manipulator: Manipulator, base_tension: Driven, loads: Loads | Sequence[Loads] | None
 ) -> tuple[Path, tuple[Goal, ...]]:
@@ -111,7 +93,15 @@ def given_path(
 
 
 def _actuation(manipulator: Manipulator, base_tension: Driven) -> tuple[Array, Array, tuple[Goal, ...]]:
-    count, entries = manipulator.num_tendons, _entries_of(base_tension)
+    count, entries = manipulator.num_tendons, base_tension if isinstance(base_tension, tuple | list) else [base_tension]
+    for entry in entries:
+        if isinstance(entry, eqx.Module) and not isinstance(entry, AlongAPath):
+            kinds = ", ".join(kind.__name__ for kind in get_args(AlongAPath))
+            raise TypeError(
+                f"trace: a path may hold base tensions, {kinds}, got {type(entry).__name__}; give the tension or the "
+                "length pulled in after each step (solve finds tensions without a history: they are right up to the "
+                "first turn only)"
+            )
     driven = tuple(Goal(i, entry.quantity) for i, entry in enumerate(entries) if isinstance(entry, AlongAPath))
     if not driven:
         tension = as_numbers(base_tension, "trace: base_tension")
@@ -142,8 +132,8 @@ def _resting(loads: Loads | Sequence[Loads] | None, along: Loads | None) -> Load
     if along is None or not isinstance(loads, Loads):
         return None
     stays = jax.tree.map(lambda own, all_steps: np.ndim(own) < np.ndim(all_steps), loads, along)
-    own = [_acts(load) for load, stay in zip(_vectors(loads), _vectors(stays), strict=True) if stay]
-    if not any(own):
+    own = [load for load, stay in zip(_vectors(loads), _vectors(stays), strict=True) if stay]
+    if not any(isinstance(load, Tracer) or np.any(np.asarray(load) != 0) for load in own):
         return None
     return jax.tree.map(lambda load, stay: load[0] if stay else jnp.zeros_like(load[0]), along, stays)
 
@@ -152,11 +142,6 @@ def _vectors(loads: Loads) -> list[Any]:
     """Forces, moments and gravity, without the places of point loads."""
     points = [load for point in loads.points for load in (point.force, point.moment)]
     return [loads.tip_force, loads.tip_moment, loads.gravity, *points]
-
-
-def _acts(load: ArrayLike) -> bool:
-    """Whether a load may differ from zero."""
-    return isinstance(load, Tracer) or bool(np.any(np.asarray(load) != 0))
 
 
 def _loads(loads: Loads | Sequence[Loads] | None, num_steps: int, in_space: bool) -> Loads | None:

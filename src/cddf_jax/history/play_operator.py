@@ -39,9 +39,8 @@ from .driven import Drive, driven
 from .energies import work_and_loss
 from .fronts import Motion, cut_at, moving_front
 from .history import Energies, History, States
-from .turns import NO_STEP, Turns, open_turns
+from .turns import NO_STEP, Number, Turns, open_turns
 
-Number = Float[Array, ""]
 BLOCK = 64  # steps that are computed at a time, so that memory stays small in a batch of bodies
 
 
@@ -122,7 +121,10 @@ def congruent_history(
     added = tip.added
     good = added.solved & usable
     if drive is not None and quantity == "tip_angle" and body.in_space:
-        drive = _as_reached(drive, jax.vmap(tilt_of)(added.heading) - wanted)
+        # what the tensions miss is unreachable, and no tendon is slack
+        missed = jax.vmap(tilt_of)(added.heading) - wanted
+        far = jnp.abs(missed) > jnp.finfo(missed.dtype).eps ** 0.5
+        drive = drive._replace(slack=drive.slack & False, unreachable=drive.unreachable | drive.slack | far)
     outside = path[-num_steps:] * jnp.sum(body.tendon_outside_compliance)
     numbers = tip.tension, added.heading, added.position, added.pulled_in + outside, added.error
     tension, heading, position, pulled_in, error = jax.vmap(nan_unless)(good, numbers)
@@ -190,12 +192,6 @@ def _path(
     if quantity == "tip_angle" and body.in_space:  # it need not turn where the tension turns
         return path, open_turns(path, max_turns)[1], drive
     return path, jax.tree.map(lambda a, b: jnp.concatenate([a, b]), turns, more), drive
-
-
-def _as_reached(drive: Drive, missed: Float[Array, " steps"]) -> Drive:
-    """The drive of a tip angle in space: what the tensions miss is unreachable, and no tendon is slack."""
-    far = jnp.abs(missed) > jnp.finfo(missed.dtype).eps ** 0.5
-    return drive._replace(slack=drive.slack & False, unreachable=drive.unreachable | drive.slack | far)
 
 
 def _with_drive(status: Int[Array, " steps"], drive: Drive, usable: Bool[Array, " steps"]) -> Int[Array, " steps"]:

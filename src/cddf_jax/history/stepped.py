@@ -27,7 +27,7 @@ from ..robot.manipulator import Manipulator
 from ..statics.arguments import harmless, is_physical
 from ..statics.equilibrium import nan_unless
 from ..statics.status import Status, first_of
-from .grid import Given, Goal, Grid, Node, cut_into_elements, loads_on
+from .grid import Given, Goal, Grid, Node, Number, cut_into_elements, loads_on
 from .history import Energies, History, States
 from .increment import FOUND, tendons_of
 from .instants import (
@@ -50,8 +50,6 @@ from .instants import (
 )
 from .path import Path
 
-Number = Float[Array, ""]
-Flags = Bool[Array, " steps"]
 ELEMENTS = 3  # times the nodes in each smooth piece of the body, one more where that is odd
 ACCURACY = 1e-2  # a step with a larger error estimate is called inaccurate
 FULL_TURN = 0.5  # rad, by which a step of tensions turns the body without friction: smaller ones have fewer increments
@@ -266,7 +264,14 @@ def stepped_history(manipulator: Manipulator, path: Path, start: SteppedStates |
         num_turns=None,
         tendon_displacement=pulled_in,
         error_estimate=error,
-        status=_status(physical, good, crossing[0], error, slack, pushes),
+        status=first_of(
+            (~physical, Status.unphysical),
+            (~good, Status.not_converged),
+            (crossing[0], Status.crossing),
+            (pushes, Status.unreachable),
+            (error > ACCURACY, Status.inaccurate),
+            (slack, Status.slack),
+        ),
         _states=states,
     )
 
@@ -282,19 +287,6 @@ def _checked(manipulator: Manipulator, path: Path) -> tuple[Manipulator, Path, B
     path = path._replace(tension=jnp.maximum(path.tension, 0.0))
     laid_out = lay_out(manipulator, ones, ones, 4, jax.tree.map(lambda x: x[0], path.loads))
     return manipulator, path, usable & finite & is_physical(asked, ones, ones, laid_out)
-
-
-def _status(
-    physical: Flags, good: Flags, crossing: Flags, error: Float[Array, " steps"], slack: Flags, pushes: Flags
-) -> Int[Array, " steps"]:
-    return first_of(
-        (~physical, Status.unphysical),
-        (~good, Status.not_converged),
-        (crossing, Status.crossing),
-        (pushes, Status.unreachable),
-        (error > ACCURACY, Status.inaccurate),
-        (slack, Status.slack),
-    )
 
 
 def squeezed(history: History) -> History:

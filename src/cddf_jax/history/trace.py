@@ -108,7 +108,9 @@ def trace(
     try:
         path, driven = given_path(manipulator, base_tension, loads)
         earlier = _earlier(manipulator, before, start)
-        if loads is None and _is_exact(manipulator, driven, start):
+        followed = start is not None and isinstance(start._states, SteppedStates)
+        alone = manipulator.num_tendons == 1 and not manipulator.has_memory and loads is None
+        if alone and not followed and all(goal.quantity in ("displacement", "tip_angle") for goal in driven):
             history = _exactly(manipulator, path, driven, earlier, start, nodes, max_turns)
         else:
             kind = Following(driven, ELEMENTS * nodes + nodes % 2, short_steps, estimate_error)
@@ -119,13 +121,6 @@ def trace(
     if throw:
         _raise_if_failed(history)
     return history
-
-
-def _is_exact(manipulator: Manipulator, driven: tuple[Goal, ...], start: History | None) -> bool:
-    """Whether a path without loads has an exact answer."""
-    followed = start is not None and isinstance(start._states, SteppedStates)
-    known = all(goal.quantity in ("displacement", "tip_angle") for goal in driven)
-    return manipulator.num_tendons == 1 and known and not followed and not manipulator.has_memory
 
 
 def _exactly(

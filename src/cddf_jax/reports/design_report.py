@@ -2,7 +2,6 @@
 
 from .. import figures
 from ..designing.pareto import ParetoFront
-from ..designing.report import design_as_dict, design_in_words
 from ..designing.results import Design
 from ..designing.task_file import DesignTask
 from ..files.cross_sections import cross_sections_csv
@@ -12,7 +11,7 @@ from .report import Content, Report
 
 def design_report(task: DesignTask, found: Design) -> Report:
     """A design; the files hold the new manipulator only where it keeps to all limits."""
-    answer, text = design_as_dict(found), design_in_words(found)
+    answer, text = found.as_dict(), str(found)
 
     def files() -> dict[str, Content]:
         made: dict[str, Content] = {"design.md": text + "\n"}

@@ -11,9 +11,8 @@ import numpy as np
 from rich import filesize
 
 from .. import figures
-from ..batch.chunks import count
 from ..batch.drafts import check_folder
-from ..batch.work import COPIES, ZarrStore
+from ..batch.work import COPIES, items_there
 from ..errors import InputError, in_utf8, within
 from ..progress import stage
 from ..robot.loads import loads_as_dict
@@ -76,7 +75,7 @@ def run_sweep(work: Sweep, store: Path, options: Mapping[str, object]) -> "tuple
 
     The options of the command line go into the summary. All processes but the first return None.
     """
-    before = _there_already(work, store)
+    before = items_there(store, work.layout, work.identity)
     start = time.perf_counter()
     answer = work.run(store)
     seconds = time.perf_counter() - start
@@ -95,14 +94,6 @@ def run_sweep(work: Sweep, store: Path, options: Mapping[str, object]) -> "tuple
         "store": in_utf8(store),
     }
     return answer, summary
-
-
-def _there_already(work: Sweep, store: Path) -> int:
-    """The number of solves that a store has already."""
-    if not store.exists():
-        return 0
-    opened = ZarrStore(store, work.layout, work.identity, create=False)
-    return sum(count(region) for region in opened.layout.regions() if opened.has(region))
 
 
 def sweep_report(

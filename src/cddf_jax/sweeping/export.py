@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..batch.chunks import Layout, even_chunks
 from ..batch.drafts import in_one_step
+from ..batch.work import Layout, even_chunks
 from ..errors import needed
 from ..statics.named_numbers import of_tendon
 from ..statics.status import Status

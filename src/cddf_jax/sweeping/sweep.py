@@ -13,10 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
-from ..batch.chunks import Layout, Region, even_chunks, not_computed
 from ..batch.fingerprint import code_digest, numbers_of, recorded
 from ..batch.lanes import in_lanes
-from ..batch.work import COPIES, carry_out
+from ..batch.work import COPIES, Layout, Region, carry_out, even_chunks, not_computed
 from ..errors import InputError, needed, within
 from ..mechanics.directions import as_directions, stated_directions
 from ..mechanics.march import FixedPoint
@@ -367,12 +366,7 @@ def _check(work: Sweep) -> None:
     for name, function in work.observables.items():
         if name in taken or "/" in name or not callable(function):
             raise InputError(f"sweep: the observable {name!r} must be a function, with a name that nothing else has")
-    _check_names(work, work.case)
-
-
-def _check_names(work: Sweep, case: Case) -> None:
-    """Refuse names that are not numbers of the case, and numbers that have no effect."""
-    swept = {name for dimension in work.dimensions for name in dimension.numbers}
+    case, swept = work.case, {name for dimension in work.dimensions for name in dimension.numbers}
     _check_effects(swept, case)
     if case.base_tension is None and "base_tension" not in swept:
         raise InputError("sweep: base_tension is neither given nor an axis; give one of the two")
