@@ -1,11 +1,11 @@
 """The columns of a table of measurements: their names, other spellings of them, and what they measure."""
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from difflib import get_close_matches
 
 from ..errors import InputError
-from ..files.table_header import short
+from ..files.table_header import Heading, short
 from ..quantities import QUANTITIES
 from ..units import Dimension
 from .forces import column_of_force, force_column
@@ -74,6 +74,17 @@ def _parts(name: str) -> tuple[str, str]:
     stem = key.rstrip("0123456789")
     number = key[len(stem) :]
     return stem, number.lstrip("0") or number[:1]
+
+
+def option(head: str, meant: str) -> str:
+    """The option of the command line that says what a column is."""
+    return f'--column "{head}={meant}"'
+
+
+def how_to_say(wanted: str, unused: Sequence[Heading]) -> str:
+    """How to say which of the columns that a file has besides is the one that is `wanted`, "base_tension [N]"."""
+    heads = ", ".join(dict.fromkeys(short(one.text) for one in unused))
+    return f"say which one it is by {option('NAME', wanted)}, where NAME is one of {heads}" if heads else "add it"
 
 
 def column_dimension(column: str) -> Dimension | None:
