@@ -82,7 +82,7 @@ class LeastSquaresFit(Determination):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Remarks on parameters at a bound, without effect or determined by one datum, and on residuals."""
+        """Remarks on parameters at a kink or determined by one datum, and on residuals."""
         if self.result == INTERRUPTED:  # some remarks fit again
             return ()
         return (

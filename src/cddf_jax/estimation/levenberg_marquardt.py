@@ -20,7 +20,6 @@ from .residuals import LeastSquaresProblem
 TOLERANCE = 1e-9  # relative, of unknowns and cost; with a smaller one rounding errors of the cost decide on steps
 MAX_STEPS = 500
 LONG = 20.0  # s: a search that took longer says how to stop it
-UNEXPLAINED = 0.9  # of the scatter of the data, left in the residuals: hardly anything is explained
 STALLED = 6  # looks at a search that bring no noteworthy fall of the cost, where the model has kinks: it ends
 LEAST_RANK = 1e-6  # of the largest singular value: what is determined less does not move to first order
 CLEARLY = 10.0  # factor between a cost above a limit and what a step promises, where no step brings it below
@@ -152,9 +151,7 @@ class Watch:
         """Where a search is, and after a while how to end it."""
         if time.monotonic() - self.begun < LONG:
             return minimum.in_words
-        hopeless = not minimum.misfit[0] < UNEXPLAINED
-        warning = "; hardly anything is explained: check units, signs and frames" if hopeless else ""
-        return f"{minimum.in_words}{warning}; Ctrl-C ends it with the best so far"
+        return f"{minimum.in_words}; Ctrl-C ends it with the best so far"
 
 
 WATCHED: ContextVar[Watch | None] = ContextVar("WATCHED", default=None)

@@ -25,7 +25,7 @@ from ..measurements.trials import repeated_tables
 from ..robot.manipulator import Manipulator
 from ..statics.arguments import refuse_batch
 from . import bench
-from .camera import camera_start, check_reach, frame_hint, unexplained_pose
+from .camera import camera_start, check_reach, unexplained_pose
 from .course import CLOSE, EACH, SHORT_STEPS
 from .fit_inputs import courses_of, noise_of, split_noise, trials_of, unread_rows
 from .parameters import (
@@ -64,9 +64,9 @@ from .verdict import (
     so_far_in_words,
     solve_results,
     variance_of_neighbours,
+    warnings_of_increments,
     warnings_of_inputs,
     warnings_of_kinematics,
-    warnings_of_numbers,
     warnings_of_rows,
     warnings_of_solves,
     warnings_of_trials,
@@ -96,8 +96,6 @@ class Fit(LeastSquaresFit):
     def verdict(self) -> tuple[str, ...]:
         """In words: what the data determine, what they do not determine, and what measurement would help."""
         lines = [] if self.success else [f"The fit failed: {self.result}. No parameter is identified."]
-        if not self.success and (hint := frame_hint(self, self.groups, self.manipulator)):
-            lines.append(hint)
         left_out = self.options["leave_out"]
         lines += [f"Left out: {rows_in_words(left_out)}."] if left_out else []
         interrupted = self.result == INTERRUPTED
@@ -116,7 +114,7 @@ class Fit(LeastSquaresFit):
         return (
             *warnings_of_rows(tables, self.model, self.without_jitter),
             *warnings_of_inputs(self, tables, self.model, self.options["noise"]),
-            *warnings_of_numbers(self, self.moved_by_steps),
+            *warnings_of_increments(self.moved_by_steps),
             *(rival.in_words for rival in self.rivals if rival.in_words),
             *alike_in_words(self.rivals),
             *repeated_tables(tables),
