@@ -42,14 +42,12 @@ from .parameters import (
 from .predictions import (
     Numbers,
     Prediction,
-    TipMisfit,
     beyond_the_data,
     moved_by_finer_steps,
     rows_to_predict,
-    tip_misfits,
 )
 from .random_effects import errors_of_base, fit_trials
-from .rivals import Rival, alike_in_words, rivals_of
+from .rivals import Rival, rivals_of
 from .tension_before import Before
 from .verdict import (
     AGAINST,
@@ -116,7 +114,6 @@ class Fit(LeastSquaresFit):
             *warnings_of_inputs(self, tables, self.model, self.options["noise"]),
             *warnings_of_increments(self.moved_by_steps),
             *(rival.in_words for rival in self.rivals if rival.in_words),
-            *alike_in_words(self.rivals),
             *repeated_tables(tables),
             *warnings_of_kinematics(tables, self.manipulator),
             *(remark for remark in self.remarks if not remark.startswith(TRIALS)),
@@ -218,11 +215,6 @@ class Fit(LeastSquaresFit):
     def moved_by_steps(self) -> dict[str, float]:
         """By parameter, its error by the increments of a history, over its standard error; {} without increments."""
         return moved_by_finer_steps(self, self.model, self.groups) if self.success else {}
-
-    @property
-    def tip_misfits(self) -> dict[str, TipMisfit]:
-        """By table of a body in space that bends in one plane, how far its tip is off in this plane and across it."""
-        return tip_misfits(self, self.groups)
 
     @cached_property
     def rivals(self) -> list[Rival]:

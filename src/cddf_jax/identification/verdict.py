@@ -12,7 +12,7 @@ from ..estimation.remarks import EXACT, chance_of_more
 from ..measurements.columns import is_reading
 from ..measurements.holds import correlation_of_rows, holds_of
 from ..measurements.jitter import Steady
-from ..measurements.left_out import CONTRADICTED, as_leave_out, named_rows, rows_in_words, sources
+from ..measurements.left_out import CONTRADICTED, named_rows, rows_in_words
 from ..measurements.readings import kind_of_set, of_shape, set_by, tendon_number
 from ..measurements.table import Measurements
 from ..measurements.table_warnings import warnings_of
@@ -31,14 +31,6 @@ LARGEST_MOVE = 0.5  # standard errors; a larger error by increments gives a warn
 MOST_ALIKE = 0.999  # a correlation of neighbours that is counted; at 1 nothing would be known
 AGAINST = "tendons travel against the direction that was found for them"
 MOST = 0.5  # of a table's rows; with more rows without a solution the fit fails
-NEWTONS = {"youngs_modulus", "stiffness_factor", "outside_compliance", "tendon_stretch"}  # displacements tell no forces
-SEPARATE = {  # of a bench driven by displacement: measurements, and the parameters that each tells from others
-    "a load cell at the tip": {*NEWTONS, "friction_coefficient", "friction_moment", "outside_drag", "backlash"},
-    "a known weight at the tip": NEWTONS,
-    "a marker in the middle": {"friction_coefficient"},
-    "a loop of another amplitude": {"backlash", "slack_offset"},
-    "a loop of another speed": {"lag"},
-}
 # statuses of rows without a solution
 OUTSIDE = Status.unphysical, Status.locked, Status.not_converged, Status.load_limit, Status.crossing, Status.unstable
 
@@ -87,14 +79,13 @@ def doubt(ends: Sequence[SolveResults]) -> str:
     rows = named_rows(tables, [solves.contradicted for solves in ends])
     if not rows:
         return ""
-    alone = len({file for own in sources(tables) for file in own}) == 1
     found, count = sum(map(len, rows.values())), sum(np.count_nonzero(solves.read) for solves in ends)
     return (
         f"{AGAINST} in {found} of {count} rows: "
         f"{rows_in_words(rows)}; parts of them stick there. Follow the rows with history, "
-        "in the order in which they were pulled or each from rest (--each-from-rest). Or leave them out: "
-        f"{as_leave_out(rows, alone=alone)}, or --leave-out {CONTRADICTED} to repeat the fit until no row is "
-        "contradicted (leave_out in Python). Or state the directions in columns direction and direction_2"
+        "in the order in which they were pulled or each from rest (--each-from-rest). Or leave them out "
+        f"(leave_out, --leave-out; {CONTRADICTED!r} repeats the fit until no row is contradicted). "
+        "Or state the directions in columns direction and direction_2"
     )
 
 
@@ -311,10 +302,8 @@ def _hold_shape(tables: Sequence[Measurements]) -> bool:
 
 def advice_on(fit: LeastSquaresFit, tables: Sequence[Measurements], lost: set[str]) -> str:
     """What measurement would separate the parameters that these data do not separate."""
-    unknown, stems = f"The data do not determine {', '.join(sorted(lost))}", {parameter_named(n).name for n in lost}
+    unknown = f"The data do not determine {', '.join(sorted(lost))}"
     stiffness = "stiffness_factor" if "stiffness_factor" in fit.status else "youngs_modulus"
-    driven = any(map(is_driven_by_length, tables))
-    separate = [what for what, tells in SEPARATE.items() if driven and stems & tells]
     if pasts := sorted(filter(is_past, lost)):
         return (
             f"The data do not determine {', '.join(pasts)}: a tension before the first row has an effect only if the "
@@ -325,10 +314,11 @@ def advice_on(fit: LeastSquaresFit, tables: Sequence[Measurements], lost: set[st
             f"{unknown}. Some have the same effect: only the sums and differences above are determined. Fix one "
             "parameter of each, or give it a prior."
         )
-    if separate:
+    if any(map(is_driven_by_length, tables)):
         return (
-            f"{unknown}. What would separate them: {', '.join(separate)}; cddf plan says by how much. Or give a value "
-            "that is measured in another way, or a prior."
+            f"{unknown}. cddf plan says by how much other measurements would help: a load cell at the tip, a known "
+            "weight there, a marker in the middle, loops of other amplitudes and speeds. Or give a value that is "
+            "measured in another way, or a prior."
         )
     if _hold_shape(tables):
         pulley = " (friction: a pulley test)" if "friction_coefficient" in lost else ""

@@ -51,8 +51,8 @@ def read_path_file(path: str | os.PathLike[str], columns: Mapping[str, str] | No
                 f"holds {len(trials)} trials, but a path is one trial; keep the rows of one, such as {trials[0]}"
             )
         _check(table, driven)
-        said = check_order(table.columns, table.rows)
-        said += [f"the path is {driven}; not used: {', '.join(others)}"] if others else []
+        check_order(table.columns, table.rows)
+    said = [f"the path is {driven}; not used: {', '.join(others)}"] if others else []
     values = table.columns[driven][order_of(table.columns)]
     return PathFile(values.tolist(), dimension_of(driven), (*table.read_as, *said), table.described)
 

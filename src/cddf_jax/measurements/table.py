@@ -305,7 +305,8 @@ def _table(
     if labels:
         arrays["trial"] = np.array([codes[label] for label in labels], float)
     simulated = any("simulated" in text.lower() for text in (name, *notes))
-    lines = tuple(f"{name}: {line}" for line in (*read_as, *left_out, *check_order(arrays, at[kept])))
+    check_order(arrays, at[kept])
+    lines = tuple(f"{name}: {line}" for line in (*read_as, *left_out))
     return Measurements(
         *(name, arrays, at[kept], tuple(codes), notes, simulated),
         read_as=lines,
