@@ -3,7 +3,7 @@
 The optimiser sees dimensionless unknowns of order one. Noise that is not given is estimated, group by group.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import jax
@@ -113,14 +113,9 @@ class LeastSquaresFit(Determination):
         evidence = replace(self.evidence, failed=True, bounded_above=())
         return replace(self, **vars(determine(evidence)), evidence=evidence, success=False, result=reason)
 
-    def determined_by(self, *groups: str, with_priors_of: Collection[str] = ()) -> Determination:
-        """What some groups of the data alone would determine if this estimate were the true values.
-
-        Args:
-            groups: of the data.
-            with_priors_of: parameters whose priors are kept.
-        """
-        return determine(self.evidence.of(groups, with_priors_of))
+    def determined_by(self, *groups: str) -> Determination:
+        """What some groups of the data alone, without priors, would determine if this estimate were the true values."""
+        return determine(self.evidence.of(groups))
 
     def band(self, sensitivity: np.ndarray) -> np.ndarray:
         """Half-width of the 95 % band of predictions with this derivative by the parameters (rows: predictions).

@@ -76,7 +76,7 @@ class ModelFreeFriction:
         return "\n".join(self.verdict)
 
 
-def model_free_friction(table: Measurements, *, in_order: bool | None = None) -> ModelFreeFriction:
+def model_free_friction(table: Measurements) -> ModelFreeFriction:
     """The friction coefficient of every row and of all rows, mu = ln(T_base / T_tip) / theta_tip.
 
     It uses the tensions of the first tendon. The pooled value is the mean of the rows, weighted by the square of their
@@ -88,12 +88,11 @@ def model_free_friction(table: Measurements, *, in_order: bool | None = None) ->
     rows. An error that all rows share - the gain of a cell, the zero of the camera - is not in the standard error. An
     error that the rows of a trial share is included, where `trial` names three trials or more.
 
-    Where rows have a history, only those are used in which the whole tendon slides in: those at the largest base
-    tension so far.
+    Where rows have a history, as a column `step` or `time` says, only those are used in which the whole tendon slides
+    in: those at the largest base tension so far.
 
     Args:
         table: with `base_tension`, `tip_tension` and `tip_angle`.
-        in_order: whether the rows have a history. None: yes if a column `step` or `time` gives their order.
 
     Raises:
         InputError: for missing columns, several tendons without `direction`, or a table without any bent row.
@@ -111,12 +110,11 @@ def model_free_friction(table: Measurements, *, in_order: bool | None = None) ->
         raise InputError(f"{table.name}: several tendons and no column 'direction'; {remedy}")
     base, tip, angle = table["base_tension"], table["tip_tension"], np.abs(table["tip_angle"])
     usable = (base > 0) & (tip > 0) & (angle > SMALLEST_ANGLE)
-    in_order = table.ordered if in_order is None else in_order
-    usable = usable & _pulled(table) if in_order else usable
+    usable = usable & _pulled(table) if table.ordered else usable
     if not np.any(usable):
         remedy = "measure at tensions that bend the body"
         raise InputError(f"{table.name}: no row has tensions and a tip angle other than 0; {remedy}")
-    direction = table["direction"][usable] if "direction" in table and not in_order else 1.0
+    direction = table["direction"][usable] if "direction" in table and not table.ordered else 1.0
     base, tip, angle = base[usable], tip[usable], angle[usable]
     loss, labels = direction * np.log(base / tip), independent_labels(table, usable)
     value = float(np.sum(angle * loss) / np.sum(angle**2))
