@@ -229,33 +229,21 @@ def test_combinations(name, bounds):
     assert error == pytest.approx(power * Q_HAT ** (power - 1) * Q_ERROR, rel=1e-6)
 
 
-def test_a_sum_of_parameters():
-    fit = least_squares_fit(lambda p: (p["p0"] + p["p1"]) * X, {"p0": 1.0, "p1": 2.0}, PROPORTIONAL, SIGMA)
-    assert fit.value["p0"] + fit.value["p1"] == pytest.approx(Q_HAT, rel=SETTLED)
+@pytest.mark.parametrize(("factor", "name"), [(-1.0, "p0 - p1"), (0.5, "p0 + 0.5 p1"), (1.0, "")])
+def test_a_sum_of_parameters(factor, name):
+    """It is reported of two parameters that may be 0, as a size tells; the closed form is that of one slope."""
+    scales = {"p0": 1.0, "p1": 1.0} if name else {}
+    start = dict.fromkeys(("p0", "p1"), 0.0 if name else 2.0)
+    fit = least_squares_fit(lambda p: (p["p0"] + factor * p["p1"]) * X, start, PROPORTIONAL, SIGMA, scales=scales)
+    assert fit.value["p0"] + factor * fit.value["p1"] == pytest.approx(Q_HAT, rel=SETTLED)
     assert fit.status == {"p0": "not identified", "p1": "not identified"}
     assert fit.standard_error == {"p0": np.inf, "p1": np.inf}
     assert fit.confidence_interval["p0"] == (-np.inf, np.inf)
-    assert fit.rank == 1
-    assert fit.combinations == {}  # none that is a product
-
-
-@pytest.mark.parametrize(("sign", "name"), [(-1.0, "p0 - p1"), (0.5, "p0 + 0.5 p1")])
-def test_a_sum_of_errors_is_reported(sign, name):
-    """Of two parameters that may be 0, as a size tells; the closed form is that of one slope."""
-    fit = least_squares_fit(
-        lambda p: (p["p0"] + sign * p["p1"]) * X,
-        {"p0": 0.0, "p1": 0.0},
-        PROPORTIONAL,
-        SIGMA,
-        scales={"p0": 1.0, "p1": 1.0},
-    )
-    assert fit.status == {"p0": "not identified", "p1": "not identified"}
-    assert fit.combinations == {}
-    assert list(fit.sums) == [name]
-    value, error, _ = fit.sums[name]
-    assert value == pytest.approx(Q_HAT, rel=SETTLED)
-    assert error == pytest.approx(Q_ERROR, rel=1e-6)
-    assert f"{name} = {Q_HAT:.4g} +- {Q_ERROR:.2g}: identified" in str(fit)
+    assert (fit.rank, fit.combinations, list(fit.sums)) == (1, {}, [name] if name else [])
+    for value, error, _ in fit.sums.values():
+        assert value == pytest.approx(Q_HAT, rel=SETTLED)
+        assert error == pytest.approx(Q_ERROR, rel=1e-6)
+        assert f"{name} = {Q_HAT:.4g} +- {Q_ERROR:.2g}: identified" in str(fit)
 
 
 def test_a_parameter_without_effect():

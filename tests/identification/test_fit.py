@@ -1,6 +1,5 @@
 """Friction and modulus from tables, against the truth put in, closed forms and SciPy with the same weights."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -301,12 +300,6 @@ def test_pulley_alone_gives_the_friction(pulley_alone):
     assert "A pulley test determines the friction alone." in pulley_alone.verdict[-1]
 
 
-def test_tables_of_one_name_are_distinguished():
-    fit = cddf.fit(PAPER, [PULLEY, PULLEY])
-    assert list(fit.alone) == ["pulley_simulated.csv (1)", "pulley_simulated.csv (2)"]
-    assert set(fit.noise) == {f"pulley_simulated.csv ({i}): pulling_tension" for i in (1, 2)}
-
-
 # --- tip angle and tip position ------------------------------------------------------------------
 
 
@@ -394,18 +387,6 @@ def test_what_most_rows_contradict_is_not_identified(tip_angle):
     assert fit.verdict[0].endswith(
         "crossing); check the units of the table and the dimensions of the body. No parameter is identified."
     )
-
-
-@pytest.mark.slow
-def test_an_outlier_is_reported_with_its_row(tip_angle):
-    """Rows of the file: a comment, a head, then data, so that the seventh line holds the fifth reading."""
-    rng, base = np.random.default_rng(2), np.tile(np.linspace(5.0, 40.0, 12), 2)
-    tip, angle = closed_form(base) + 0.05 * rng.normal(size=24), wrap(base) + 0.002 * rng.normal(size=24)
-    angle[4] += 0.5
-    table = bench(base, tip_angle.name, direction=np.ones(24), tip_tension=tip, tip_angle=angle)
-    fit = cddf.fit(paper_body("exact"), replace(table, rows=np.arange(3, 27)), noise={"tip_tension": 0.05})
-    (remark,) = [remark for remark in fit.remarks if "off the model" in remark]
-    assert remark.startswith(f"row 7 of {tip_angle.name}: tip_angle lies far off the model: check it")
 
 
 def test_a_wrong_sign_is_reported():

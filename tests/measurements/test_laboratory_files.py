@@ -125,11 +125,6 @@ def test_columns_by_their_names_in_the_file(tmp_path):
         read(tmp_path, text, meant | {"F2": "base_tension [N]"})
 
 
-def test_the_unit_that_is_said_wins_over_that_of_the_file(tmp_path):
-    table = read(tmp_path, PLAIN.replace("tip_tension [N]", "cell (V)"), {"cell": "tip_tension [mN]"})
-    np.testing.assert_allclose(table["tip_tension"], [4.79e-3, 9.19e-3, 17.02e-3], rtol=1e-15)
-
-
 def test_two_headers_are_refused(tmp_path):
     """The first is the header, and the second no row of numbers; also one that knows more."""
     for below in (PLAIN, PLAIN.replace("\n", ",1\n").replace(",1", ",tip_angle [deg]", 1)):

@@ -89,7 +89,6 @@ CASES = [
     (_with("tip_tensoin [N]"), "row 1: unknown column 'tip_tensoin'; did you mean tip_tension? Rename it, or"),
     (_with("T_base_0 [N]"), "unknown column 'T_base_0'; did you mean base_tension?"),  # tendons count from 1
     (_with("tip_tension [g]"), "needs a unit of force, got [g]; write for example [N]; a mass is not a force: did you"),
-    (_with("tip_x [px]"), "tip_x needs a unit of length, got [px] with the unknown unit 'px'; write for example [mm]"),
     (_with("direction"), "row 2, column direction: must be 1 or -1, got 4.79; write 1 where"),
     (PAIRS.replace("tip_tension", "base_tension"), " and 'base_tension [N]' both are the column base_tension; remove"),
     ("base_tension [N]  tip_tension [N]\n5 4", "is no header (lines with # are notes); write names and units such"),
@@ -99,14 +98,12 @@ CASES = [
     ("weight [N], wrap_angle [rad]\n1, 1", "the column pulling_tension is missing; add it (a pulley test has wrap"),
     ("trial, base_tension [N]\n , 3", "row 2, column trial: the cell is empty; fill it"),
     ("5, 4.79\n10, 9.19", "row 1: '5' is no header (lines with # are notes); write names and units such"),
-    (PAIRS.replace("10, 9.19", "10,5, 9,19"), "row 3 has 4 cells, the header 2; with decimal commas separate the"),
     (PAIRS.replace(", ", ";") + "5;4,79", "row 4, column tip_tension: '4,79' has a comma, but row 2, column"),
     (PAIRS + '"1,234.5", 5', "row 4, column base_tension: '1,234.5' is not a number; write it with a decimal"),
     (PAIRS + '"15", "5', "row 4: is not CSV (unexpected end of data); remove a misplaced quotation mark there"),
     (PAIRS.encode("utf-16-le"), "is not text in UTF-8, UTF-16 or Latin-1; save it as CSV UTF-8"),  # without its mark
     (b"PK\x03\x04\x14\x00\x06\x00" + bytes(range(256)), "is not a spreadsheet in the format .xlsx (File is not a zip"),
     (b"\xd0\xcf\x11\xe0" + bytes(range(256)), "is a spreadsheet in the old format .xls; save it as .xlsx or as CSV"),
-    (np.random.default_rng(0).bytes(100_000), "is not text in UTF-8, UTF-16 or Latin-1"),
 ]  # fmt: skip
 
 
@@ -140,8 +137,6 @@ def test_from_columns():
         ({"base_tension": []}, "bench: has no rows; add measurements"),
         ({"base_tension": 5.0}, "bench: column base_tension: needs one list of numbers, got shape ()"),
         ({"base_tension": ["a"]}, "bench: column base_tension: text cannot be used, got 'a'; give the number alone,"),
-        ({"base_tension": [1, -2]}, "bench: row 2, column base_tension: must be 0 or more, got -2 N"),
-        ({"base_tension": [1], "tip_x": [np.inf]}, "bench: row 1, column tip_x: must be finite, got inf"),
         ({"base_tensoin": [1]}, "bench: unknown column 'base_tensoin'; did you mean base_tension?"),
     ],
 )
