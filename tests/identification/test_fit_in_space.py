@@ -41,7 +41,8 @@ def test_a_marker_on_the_axis_at_the_tip_is_the_tip():
     body, pulls = in_plane(), np.array([10.0, 40.0])
     columns = {"tip_x": [0.0, 0.0], "tip_y": [0.0, 0.0], "x@140mm": [0.0, 0.0], "y@140mm": [0.0, 0.0]}
     table = cddf.Measurements.from_columns("zeros", base_tension=pulls, **columns)
-    shown = bench_of(table, body).evaluate(body, {"camera_turn_z": np.pi / 2, "camera_x": 0.1}, 16).readings
+    camera = {"camera_turn_z": np.pi / 2, "camera_x": 0.1}
+    shown = jax.jit(lambda camera: bench_of(table, body).predict(body, camera, 16))(camera)
     np.testing.assert_allclose(shown["x@140mm"], shown["tip_x"], atol=1e-12)
     np.testing.assert_allclose(shown["y@140mm"], shown["tip_y"], atol=1e-12)
     straight = [cddf.solve(body, pull).tip_position for pull in pulls]

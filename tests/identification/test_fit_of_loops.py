@@ -12,7 +12,7 @@ import equinox as eqx
 import numpy as np
 import pytest
 from bodies import paper_body
-from kinds import bench_of, of_kind
+from kinds import bench_of
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 from read_back import x_of, xy_of
@@ -296,14 +296,9 @@ def test_trials_begin_in_their_own_ways():
     tip, angle = (np.concatenate([x, y[1:]]) for x, y in zip(_play(RELEASED), _play([60.0, *RELEASED]), strict=True))
     columns = {"base_tension": np.tile(RELEASED, 2), "trial": np.repeat(["a", "b"], 10), "step": np.tile(range(10), 2)}
     both = Measurements.from_columns("bench", **columns, tip_tension=tip, tip_angle=angle)
-    past = pasts_of([2], "rest", ["before_2"])[0]
-    course = course_of(both, past=past)[0]
-    assert of_kind(Past, course.past).parameters == (("",), ("before_2",))
+    course = course_of(both, past=pasts_of([2], "rest", ["before_2"])[0])[0]
     np.testing.assert_array_equal(course.path({"before_2": 50.0})[:, 0, 0], [0.0, 50.0])  # 0 N is rest
     assert course_of(both, past=pasts_of([2], ["rest", 60.0], [])[0])[0].past_in_words == ["rest", "60 N"]
-    (mixed,) = pasts_of([2], ["rest", 70.0], ["before"])
-    assert (mixed.parameters, mixed.stated.tolist()) == ((("",), ("before",)), [[0.0], [70.0]])
-    assert [past.parameters for past in pasts_of([1, 0, 1], "rest", ["before"])] == [(("before",),), (), (("before",),)]
     bench = bench_of(both, BODY, course=course)
     truth = {"friction_coefficient": MU, "youngs_modulus": E, "before_2": 60.0}
     read = bench.predict(BODY, {name: np.asarray(value) for name, value in truth.items()}, 16)

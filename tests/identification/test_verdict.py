@@ -11,7 +11,7 @@ from bodies import paper_body
 import cddf_jax as cddf
 from cddf_jax.identification.bench import Bench, BenchModel, Evaluation
 from cddf_jax.identification.fit import _without_contradicted
-from cddf_jax.identification.verdict import SolveResults, advice_on, doubt, estimates_in_words, solve_results
+from cddf_jax.identification.verdict import SolveResults, advice_on, doubt, solve_results
 from cddf_jax.measurements.table import Measurements
 
 
@@ -71,24 +71,6 @@ def test_rows_are_left_out_until_the_fit_contradicts_none():
 
     assert _without_contradicted(fit).contradicted == {}
     assert asked == [{}, {"bench": [3, 5]}, {"bench": [3, 5, 2]}]
-
-
-def test_intervals_carry_their_unit():
-    """1 MPa is 1e6 Pa, 1 mm is 1e-3 m; a combination stays in SI."""
-    told: Any = SimpleNamespace(
-        status={"youngs_modulus": "identified", "length": "fixed", "base_zero": "not identified"},
-        value={"youngs_modulus": 1.4e6, "length": 0.14, "base_zero": 0.1},
-        standard_error={"youngs_modulus": 5e4, "length": 0.0, "base_zero": np.inf},
-        confidence_interval={"youngs_modulus": (1.3e6, 1.5e6), "length": (0.14, 0.14), "base_zero": (-np.inf, np.inf)},
-        combinations={"friction_coefficient / youngs_modulus": (3e-7, 1e-9, (2.98e-7, 3.02e-7))},
-        sums={},
-    )
-    assert estimates_in_words(told) == [
-        "youngs_modulus = 1.4 +- 0.05 MPa (95 %: 1.3 to 1.5 MPa): identified",
-        "length = 140 mm: fixed",
-        "base_zero: not identified",
-        "friction_coefficient / youngs_modulus = 3e-07 +- 1e-09 1/Pa: identified, although its factors are not",
-    ]
 
 
 @pytest.mark.parametrize(
