@@ -366,7 +366,7 @@ def test_too_few_steps_are_a_failure():
         ({"priors": {"c": (0.0, 1.0)}}, "prior for 'c', which is not fitted; fitted are a, b"),
         ({"priors": {"a": (0.0, 0.0)}}, "prior for a: needs a mean and a standard deviation > 0, got 0.0, 0.0"),
         ({"sigma": 0.0}, "sigma of data must be > 0"),
-        ({"sigma": [1.0, 2.0]}, r"sigma has 2 entries for 1 groups of data \(data\)"),
+        ({"sigma": [1.0, 2.0]}, r"sigma of data must be one number or of shape \(30,\) like the data, got \(2,\)"),
         ({"observed": np.where(X > 2.9, np.nan, NOISY)}, "data: entry 30 is not finite; leave it out"),
         ({"observed": np.zeros(0)}, "there are no data to fit"),
         ({"observed": {"fine": NOISY}, "sigma": {"rough": 0.3}}, "sigma is given for 'rough', which is not a group"),

@@ -57,6 +57,14 @@ def test_a_wrong_minimum_that_explains_nothing():
     assert again.restarted.startswith("the search from the given start failed (hardly anything of data is explained")
 
 
+def test_a_group_that_is_hardly_explained_beside_one_that_is():
+    """A slope through 0 that a constant cannot follow, in fewer than half of the readings."""
+    data = {"x": NOISY, "y": X[:9] - np.mean(X[:9])}
+    fit = least_squares_fit(lambda p: {"x": line(p), "y": p["c"] * jnp.ones(9)}, START | {"c": 1.0}, data, SIGMA)
+    assert fit.success
+    assert any(remark.startswith("y is hardly explained at all") for remark in fit.remarks)
+
+
 def test_repeats_of_one_level_are_explained():
     """Their scatter is noise and nothing else, and their mean is told by it."""
     data = 5.0 + 0.1 * np.random.default_rng(1).normal(size=30)

@@ -389,15 +389,6 @@ def test_what_most_rows_contradict_is_not_identified(tip_angle):
     )
 
 
-def test_a_wrong_sign_is_reported():
-    """Angles of the closed form, exact kinematics, with the other sign."""
-    noise = {"tip_tension": 0.1, "tip_angle": 0.005}
-    turned = bench(tip_tension=closed_form(LEVELS), tip_angle=-wrap(LEVELS))
-    fit = cddf.fit(PAPER, turned, noise=noise)
-    assert any("tip_angle is hardly explained at all" in warning for warning in fit.warnings)
-    assert not any("add a pulley test (friction alone), tip angles" in line for line in fit.verdict)
-
-
 def test_trials_that_differ_are_reported():
     """Three trials whose friction differs by 20 %, from closed forms with 0.1 N of noise."""
     pulls, rng = np.tile(LEVELS, 3), np.random.default_rng(3)

@@ -148,8 +148,8 @@ def least_squares_fit(
             A function or a pytree that is callable; if it is given again, nothing is compiled.
         start: first guess, a mapping from names to numbers, or any pytree of numbers or arrays.
         observed: data, one array or a pytree of arrays; each array is a group with its own noise.
-        sigma: standard deviation of the noise: one number, or the structure of `observed` with a number, an
-            array, a `Noise(floor, fraction)` or None per group. None: it is estimated from the residuals.
+        sigma: standard deviation of the noise: a number, an array, a `Noise(floor, fraction)` or None, for all groups,
+            or a mapping with one of these by the name of a group. None: it is estimated from the residuals.
         bounds: by parameter name, (lower, upper), None for none; the estimate stays inside.
         priors: by parameter name, mean and standard deviation of a Gaussian.
         scales: by parameter name, a size that matters, for parameters that may be 0. If the estimate is smaller, the

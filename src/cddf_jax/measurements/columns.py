@@ -22,15 +22,8 @@ PER_TENDON = ("base_tension", "direction", *(name for name, kind in NAMED.items(
 # other spellings, in small letters and without what separates words
 _SPELLINGS = {
     "tbase": "base_tension",
-    "tensionbase": "base_tension",
     "tendondisplacement": "displacement",
     "ttip": "tip_tension",
-    "tensiontip": "tip_tension",
-    "angletip": "tip_angle",
-    "trialid": "trial",
-    **{f"{axis}tip": f"tip_{axis}" for axis in "xyz"},
-    **{f"ftip{axis}": f"tip_force_{axis}" for axis in "xyz"},
-    **{f"{name}{end}": name for name in ("trial", "step") for end in ("no", "nr", "number")},
     **{name.replace("_", ""): name for name in COLUMNS},
 }
 _LIKENESS = 0.85  # of a name to a known one, above which it counts as misspelt
