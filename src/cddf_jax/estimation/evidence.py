@@ -139,12 +139,6 @@ class Evidence:
         rows = {name: own / np.sqrt(factors.get(name, 1.0)) for name, own in self.rows.items()}
         return replace(self, rows=rows)
 
-    @property
-    def nearest_bound(self) -> np.ndarray:
-        """By parameter, the bound that the value is closer to."""
-        lower, upper = self.space.lower, self.space.upper
-        return np.where(self.value - lower < upper - self.value, lower, upper)
-
     @cached_property
     def jacobian(self) -> np.ndarray:
         """All rows, those of the priors last."""

@@ -32,7 +32,6 @@ class Constancy(NamedTuple):
     slope: float  # 1/N
     standard_error: float
     p_value: float  # two-sided
-    degrees_of_freedom: int
 
     def __str__(self) -> str:
         if not np.isfinite(self.p_value):
@@ -54,8 +53,7 @@ class ModelFreeFriction:
     estimate: np.ndarray  # NaN where a tension or the angle is 0
     value: float  # pooled
     standard_error: float  # inf where one row alone determines the value, so that the noise cannot be estimated
-    degrees_of_freedom: int  # of the standard error: rows, or trials, less one
-    confidence_interval: tuple[float, float]  # 95 %, t-statistics
+    confidence_interval: tuple[float, float]  # 95 %, t-statistics; of rows, or trials, less one
     constancy: Constancy
 
     @property
@@ -129,7 +127,6 @@ def model_free_friction(table: Measurements) -> ModelFreeFriction:
         estimate=estimate,
         value=value,
         standard_error=error,
-        degrees_of_freedom=freedom,
         confidence_interval=(value - half_width, value + half_width),
         constancy=_constancy(base, angle, residual, labels),
     )
@@ -147,13 +144,13 @@ def _constancy(base: np.ndarray, angle: np.ndarray, residual: np.ndarray, labels
     """The slope b of mu = a + b T_base, from the residuals of the pooled value, with its test."""
     freedom = int(min(base.size - 2, labels.max()))
     if freedom <= 0 or np.ptp(base) <= ONE_LEVEL * base.max():
-        return Constancy(np.nan, np.nan, np.nan, freedom)
+        return Constancy(np.nan, np.nan, np.nan)
     regressor = angle * (base - np.average(base, weights=angle**2))
     slope = float(np.sum(regressor * residual) / np.sum(regressor**2))
     columns = np.stack([angle, regressor], axis=1)
     error = float(np.sqrt(jackknife(columns, residual - slope * regressor, labels)[1, 1]))
     t = slope / error if 0 < error < np.inf else np.nan
-    return Constancy(slope, error, float(2 * stdtr(freedom, -abs(t))), freedom)
+    return Constancy(slope, error, float(2 * stdtr(freedom, -abs(t))))
 
 
 def jackknife(columns: np.ndarray, residual: np.ndarray, labels: np.ndarray) -> np.ndarray:
