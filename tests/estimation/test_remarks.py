@@ -92,17 +92,14 @@ def test_more_columns_are_tested_against_the_noise_of_their_group(sigma):
         assert chance == pytest.approx(stats.f.sf((left[0] - left[1]) / 2 / (left[1] / 5), 2, 5), rel=1e-3)
 
 
-@pytest.mark.parametrize("shift", [-0.3, 0.3])
-def test_a_parameter_near_its_bound_has_an_upper_limit(shift):
-    """A slope of shift standard errors, at least 0: at most itself (or 0) and 1.96 standard errors."""
+def test_a_parameter_near_its_bound_has_an_upper_limit():
+    """A slope of 0.3 standard errors, at least 0: at most itself and 1.96 standard errors."""
     error = SIGMA * np.sqrt(COVARIANCE[1, 1])
-    data = NOISY - (B_HAT - shift * error) * X
+    data = NOISY - (B_HAT - 0.3 * error) * X
     fit = least_squares_fit(line, {"a": 1.0, "b": 1.0}, data, SIGMA, {"b": (0.0, None)})
-    assert fit.status["b"] == ("at bound" if shift < 0 else "not identified")
-    assert fit.bounded_above == ("b",)
-    expected = (max(shift, 0.0) + stats.norm.ppf(0.975)) * error
+    assert (fit.status["b"], fit.bounded_above) == ("not identified", ("b",))
+    expected = (0.3 + stats.norm.ppf(0.975)) * error
     assert fit.confidence_interval["b"] == (0.0, pytest.approx(expected, rel=1e-3))
-    assert shift > 0 or fit.value["b"] == 0
 
 
 def test_residuals_that_grow_are_reported():

@@ -58,11 +58,6 @@ def test_a_marker_on_the_axis_at_the_tip_is_the_tip():
         ({"x@200mm": [0.01]}, PLAIN, "at 200 mm, but the body is 140 mm long"),
         ({"x@head": [0.01]}, cddf.BenchSetting(markers={"head": cddf.Marker(-0.01)}), "at -10 mm"),
         ({"tip_x": [0.01]}, cddf.BenchSetting(markers={"head": HEAD}), "the marker 'head' is in no table"),
-        (
-            {"tip_x": [0.01]},
-            cddf.BenchSetting(cddf.Loads(gravity=(0.0, -9.81))),
-            "loads.gravity: the body has no weight",
-        ),
     ],
 )
 def test_what_cannot_be_read(columns, setting, words):

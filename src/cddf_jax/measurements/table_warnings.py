@@ -18,7 +18,7 @@ def warnings_of(table: Measurements, *, in_order: bool | None) -> tuple[str, ...
         table: of measurements.
         in_order: whether its rows have a history; None: each is pulled from rest.
     """
-    looks = _below_zero, *{True: [_starts_anew], False: [_coming_down], None: []}[in_order]
+    looks = (_below_zero, _coming_down) if in_order is False else (_below_zero,)
     found = [next(filter(None, (look(table, column) for column in table.columns)), "") for look in looks]
     return tuple(filter(None, found))
 
@@ -30,24 +30,6 @@ def _below_zero(table: Measurements, column: str) -> str:
     remedy = "has the zero of the cell drifted?" + ("" if column == "pulling_tension" else free)
     values = table[column]
     return _rows_with(table, values < 0, f"{column} below 0", lambda i: f"{values[i]:.4g} N", remedy)
-
-
-def _starts_anew(table: Measurements, column: str) -> str:
-    """Rows at the lowest level of their trial, after twice that level or more, before a new pull: perhaps from rest."""
-    if column != "base_tension":
-        return ""
-    which, above, slack = np.zeros(len(table), bool), np.zeros(len(table)), ONE_LEVEL * table[column].max()
-    for rows in table.trials:
-        before, own, after = (table[column][rows][part] for part in (slice(-2), slice(1, -1), slice(2, None)))
-        low = (own > slack) & (own <= table[column][rows].min() + slack)
-        which[rows[1:-1]] = low & (before > 2 * own + slack) & (after > own + slack)
-        above[rows[1:-1]] = before
-    what = f"{column} back at its lowest level, from which it rises again"
-    remedy = (
-        "they count as released to this level; if the tendon was fully released in between, give each pull a trial of "
-        "its own, or add rows of 0 N"
-    )
-    return _rows_with(table, which, what, lambda i: f"{table[column][i]:.6g} N after {above[i]:.6g} N", remedy)
 
 
 def _coming_down(table: Measurements, column: str) -> str:
