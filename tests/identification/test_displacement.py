@@ -99,6 +99,7 @@ def test_what_is_not_identified_may_be_predicted(by_angles):
     assert predicted.extrapolated.tolist() == (path > np.max(LOOP)).tolist()
 
 
+@pytest.mark.slow
 def test_tip_angles_hold_the_product_of_modulus_and_compliance(by_angles):
     found = by_angles
     assert found.status["youngs_modulus"] == found.status["outside_compliance"] == "not identified"
