@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bodies import constant, one_kinematics_at_once, paper_body, paper_plain, replaced, straight
+from bodies import constant, paper_body, paper_plain, replaced, straight
 from loaded_bodies import reference_solution
 from places import DATA
 from scipy import optimize, stats
@@ -131,26 +131,6 @@ def test_neither_start_nor_order_matters(tensions_only, start, free):
     expected = tensions_only.combinations[RATIO]
     assert fit.combinations[RATIO].value == pytest.approx(expected.value, rel=1e-6)
     assert fit.combinations[RATIO].standard_error == pytest.approx(expected.standard_error, rel=1e-4)
-
-
-@one_kinematics_at_once
-def test_tensions_without_noise(kinematics):
-    """The closed form itself as data: the ratio comes back, neither factor does; a row of 0 N determines nothing."""
-    fit = cddf.fit(paper_body(kinematics, friction_coefficient=0.05, youngs_modulus=1e8), bench(LEVELS - 5.0))
-    assert_only_the_ratio(fit)
-    assert fit.combinations[RATIO].value == pytest.approx(MU / E, rel=1e-7)
-
-
-def test_noise_given(ratio_by_scipy):
-    """Standard error of m for a known noise: sigma over the norm of dT_tip/dm."""
-    fit = cddf.fit(PAPER, LOAD_CELLS, noise={"tip_tension": 0.5})
-    base, value = LOAD_CELLS["base_tension"], ratio_by_scipy[0]
-    slope = base**2 * COMPLIANCE / (1 + value * base * COMPLIANCE) ** 2
-    assert fit.combinations[RATIO].value == pytest.approx(value, rel=1e-6)
-    assert fit.combinations[RATIO].standard_error == pytest.approx(0.5 / np.linalg.norm(slope), rel=1e-5)
-    assert not fit.noise_estimated
-    value, error, (low, high) = fit.combinations[RATIO]
-    assert (value - low, high - value) == pytest.approx((stats.norm.ppf(0.975) * error,) * 2)
 
 
 @pytest.mark.slow
@@ -395,15 +375,6 @@ def test_trials_that_differ_are_reported():
     tip = np.concatenate([closed_form(LEVELS, mu) for mu in (0.34, 0.42, 0.5)]) + 0.1 * rng.normal(size=pulls.size)
     fit = cddf.fit(PAPER, bench(pulls, tip_tension=tip, trial=np.repeat([1, 2, 3], LEVELS.size)))
     assert any("tip_tension differs from trial to trial" in warning for warning in fit.warnings)
-
-
-def test_one_reading_of_a_pulley():
-    one = Measurements.from_columns("drum", weight=[5.0], wrap_angle=[1.0], pulling_tension=[8.0])
-    fit = cddf.fit(PAPER, one, noise={"pulling_tension": 0.1})
-    assert fit.status["youngs_modulus"] == "not identified"  # a pulley test knows no body
-    # one reading of eq. (5): mu = ln(T / W) / theta, se = sigma / (T theta)
-    assert fit.value["friction_coefficient"] == pytest.approx(np.log(8.0 / 5.0), rel=1e-6)
-    assert fit.standard_error["friction_coefficient"] == pytest.approx(0.1 / 8.0, rel=1e-6)
 
 
 # --- refusals ------------------------------------------------------------------------------------

@@ -21,7 +21,7 @@ from test_fit import COMPLIANCE, MU, E
 import cddf_jax as cddf
 from cddf_jax import figures
 from cddf_jax.errors import InputError
-from cddf_jax.identification.course import course_of
+from cddf_jax.identification.course import course_of, paths_of
 from cddf_jax.identification.experiment_design import Candidate
 from cddf_jax.identification.random_effects import errors_of_base
 from cddf_jax.identification.tension_before import Past, first_guesses, pasts_of
@@ -135,17 +135,6 @@ def test_a_fit_of_a_loop_is_drawn_as_a_loop(fitted):
 
 
 @pytest.mark.slow
-def test_a_loop_without_its_order_has_a_warning(fitted):
-    """The same rows, pulled from rest each: an error of many standard errors, and a warning with the remedy."""
-    without = cddf.fit(BODY, table(), history=False)
-    assert any("Give the rows a history (history=True, --history" in warning for warning in without.warnings)
-    assert abs(without.value["youngs_modulus"] / E - 1) > 0.01
-    columns = {name: values for name, values in table().columns.items() if name != "step"}
-    asked = cddf.fit(BODY, Measurements.from_columns("bench", **columns), ALL, noise=NOISE, history=True)
-    np.testing.assert_allclose(asked.value["youngs_modulus"], fitted.value["youngs_modulus"], rtol=1e-6)
-
-
-@pytest.mark.slow
 def test_trials_pretension_drag_and_zeros():
     """Two trials of different length, each from rest, of a body with a drag; cells zeroed under a pretension."""
     body = paper_body("exact", drag=4.0)
@@ -177,6 +166,14 @@ def test_friction_that_differs_from_trial_to_trial():
 
 
 # --- order, directions, bodies ---------------------------------------------------------------------
+
+
+def test_the_order_of_the_file_where_it_is_asked_for():
+    columns = {name: values for name, values in table().columns.items() if name != "step"}
+    assert [rows.tolist() for rows in paths_of(Measurements.from_columns("bench", **columns), True) or ()] == [
+        [*range(33)]
+    ]
+    assert paths_of(table(), False) is None
 
 
 def test_a_direction_is_compared_with_the_order():
