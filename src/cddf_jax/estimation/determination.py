@@ -78,7 +78,8 @@ def determine(evidence: Evidence) -> Determination:
     rank = len(spectrum.root)
     reach = evidence.uncertainty(np.eye(len(names)))
     error = reach.standard_error
-    low, high = evidence.interval(reach)
+    below, above = (np.ones((2, len(names))) if evidence.ends is None else evidence.ends.T) * reach.half_width
+    low, high = value - below, value + above
 
     status = _statuses(evidence, error, low, high)
     lost = np.array([word == NOT_IDENTIFIED for word in status])

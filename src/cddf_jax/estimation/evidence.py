@@ -179,12 +179,6 @@ class Evidence:
             np.maximum(np.einsum("qr,rs,qs->q", unit, noise.growth, unit), 0.0),
         )
 
-    def interval(self, reach: Uncertainty) -> tuple[np.ndarray, np.ndarray]:
-        """Both ends of the 95 % intervals of the parameters, of which `reach` is the uncertainty."""
-        ends = np.ones((len(self.value), 2)) if self.ends is None else self.ends
-        below, above = ends.T * reach.half_width
-        return self.value - below, self.value + above
-
     @cached_property
     def _estimated_noise(self) -> EstimatedNoise:
         """The information of restricted likelihood on the parts of the variances, and what follows from it.
