@@ -200,7 +200,7 @@ def test_tensions_before_displacements(cddf_command, two_tendons, monkeypatch, s
         ("none.csv", "none.csv: cannot be read (No such file or directory); check the path"),
         ("bad.csv", "bad.csv: row 3, column base_tension: must be 0 or more, got -2 N; correct or remove the row"),
         ("nan.csv", "nan.csv: row 2, column base_tension: must be finite, got nan; correct or remove the row"),
-        ("other.csv", "other.csv: row 1: has no column with a path; name one base_tension, or displacement, or"),
+        ("other.csv", "other.csv: row 1: has no column with a path (base_tension or displacement or tip_angle, with"),
         ("trials.csv", "trials.csv: holds 2 trials, but a path is one trial; keep the rows of one, such as a"),
     ],
 )

@@ -171,7 +171,7 @@ def test_a_header_without_a_known_name_is_found(tmp_path, text, base, tip):
     said, unit = refused(read_tables, [path]), "mN" if b";mN;" in path.read_bytes() else "N"
     missing, _, heads = said.partition(", where NAME is one of ")
     assert missing.endswith(
-        'the column base_tension is missing; say which one it is by --column "NAME=base_tension [N]"'
+        'the column base_tension is missing; add it, or say which one it is by --column "NAME=base_tension [N]"'
     )
     assert f"'{base}" in heads
     (table,) = read_tables([path], {base: f"base_tension [{unit}]", tip: "tip_tension [N]"})

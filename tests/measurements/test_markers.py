@@ -59,8 +59,8 @@ def test_unknown_columns(read):
     names = "row,marker,EM_X (mm),EM_Y (mm),s [mm]\n1,head,79.1,,80\n"
     said = refused(read, BENCH, names.replace(",,", ",12.3,"))
     assert said.endswith(
-        'b.csv: row 1: the columns x and y are missing; say which one it is by --column "NAME=x [mm]", where NAME is '
-        "one of 'EM_X (mm)', 'EM_Y (mm)', 's [mm]'"
+        'b.csv: row 1: the column x or y is missing; add it, or say which one it is by --column "NAME=x [mm]", '
+        "where NAME is one of 'EM_X (mm)', 'EM_Y (mm)', 's [mm]'"
     )
     (table,) = read(BENCH, names, columns={"EM_X (mm)": "x [mm]", "s [mm]": "arc_length [mm]"})
     np.testing.assert_allclose([table["x@head"][0], table.markers["head"].arc_length], [0.0791, 0.08], rtol=1e-15)

@@ -77,7 +77,11 @@ def option(head: str, meant: str) -> str:
 def how_to_say(wanted: str, unused: Sequence[Heading]) -> str:
     """How to say which of the columns that a file has besides is the one that is `wanted`, "base_tension [N]"."""
     heads = ", ".join(dict.fromkeys(short(one.text) for one in unused))
-    return f"say which one it is by {option('NAME', wanted)}, where NAME is one of {heads}" if heads else "add it"
+    return (
+        f"add it, or say which one it is by {option('NAME', wanted)}, where NAME is one of {heads}"
+        if heads
+        else "add it"
+    )
 
 
 def column_dimension(column: str) -> Dimension | None:

@@ -77,7 +77,7 @@ def read_marker_table(path: str | os.PathLike[str], columns: Mapping[str, str], 
             raise InputError(missing, where=f"row {found.header}")
         if not any(axis in found.columns for axis in _AXES):
             remedy = how_to_say("x [mm]", found.unused)
-            raise InputError("the columns x and y are missing", where=f"row {found.header}", remedy=remedy)
+            raise InputError("the column x or y is missing", where=f"row {found.header}", remedy=remedy)
         names = ["".join(str(label).split()) for label in found.columns["marker"]]
         at = _rows(found, num_rows)
         for (row, name), count in Counter(zip(at.tolist(), names, strict=True)).items():

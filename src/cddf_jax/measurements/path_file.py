@@ -42,7 +42,7 @@ def read_path_file(path: str | os.PathLike[str], columns: Mapping[str, str] | No
     with within(path):
         named = [name for name in DRIVEN if name in table.columns]
         if not named:
-            what = f"has no column with a path; name one {', or '.join(DRIVEN)}, with its unit"
+            what = f"has no column with a path ({' or '.join(DRIVEN)}, with its unit)"
             raise InputError(what, where=f"row {table.header}", remedy=how_to_say("base_tension [N]", table.unused))
         driven, *others = named
         trials = list(dict.fromkeys(table.columns.get("trial", np.zeros(0)).tolist()))
