@@ -199,18 +199,6 @@ def test_pulley_and_tensions_give_both(paper_route):
     assert_same(paper_route, *weighted_fit(residual))
 
 
-def test_each_table_alone(paper_route, tensions_only):
-    alone = paper_route.alone
-    assert alone["pulley_simulated.csv"].status == {
-        "friction_coefficient": "identified",
-        "youngs_modulus": "not identified",
-    }
-    tensions = alone["load_cells_simulated.csv"]
-    assert tensions.status == dict.fromkeys(BOTH, "not identified")
-    expected = tensions_only.combinations[RATIO].standard_error
-    assert tensions.combinations[RATIO].standard_error == pytest.approx(expected, rel=1e-2)
-
-
 def test_band_of_a_prediction(paper_route):
     """Against the derivatives of the closed form by central differences; the trials alone tell the ratio mu / E."""
     base = np.array([1.0, 20.0, 50.0, 80.0, 120.0])
