@@ -177,8 +177,8 @@ def test_tensions_before_displacements(cddf_command, two_tendons, monkeypatch, s
         ("75 N, much", "--path is not a number, got 'much'; write for example '12.5 N'"),
         ("none.csv", "none.csv: cannot be read (No such file or directory); check the path"),
         ("bad.csv", "bad.csv: row 3, column base_tension: must be 0 or more, got -2 N; correct or remove the row"),
-        ("nan.csv", "nan.csv: row 2, column base_tension: must be finite, got nan; give a number or remove the row"),
-        ("other.csv", "other.csv: row 1: has no column with a path; name one base_tension, or tendon_displacement, or"),
+        ("nan.csv", "nan.csv: row 2, column base_tension: must be finite, got nan; correct or remove the row"),
+        ("other.csv", "other.csv: row 1: has no column with a path (base_tension or displacement or tip_angle, with"),
         ("trials.csv", "trials.csv: holds 2 trials, but a path is one trial; keep the rows of one, such as a"),
     ],
 )
@@ -198,8 +198,7 @@ def test_names_that_a_laboratory_gave(tmp_path, monkeypatch):
     Path("b.csv").write_text("Weg [mm]\n0\n12\n5\n")
     Path("c.csv").write_text("Tendon displacement [mm]\n0\n12\n5\n")
     said = refused(read_paths, ["a.csv"], None, 1)
-    assert "no guess for 't [s]', 'F_soll [N]'; " in said
-    assert said.endswith('--column "NAME=base_tension [N]"')
+    assert said.endswith("--column \"NAME=base_tension [N]\", where NAME is one of 't [s]', 'F_soll [N]'")
     columns = ["t [s]=time [s]", "F_soll [N]=base_tension [N]", "Weg [mm]=tendon_displacement [mm]"]
     assert read_paths(["a.csv", "b.csv"], None, 2, columns)[0] == [[0, 75.5, 40], [0, 0.012, 0.005]]
     assert read_paths(["c.csv"], None, 1)[0] == [[0, 0.012, 0.005]]

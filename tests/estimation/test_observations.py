@@ -133,11 +133,9 @@ def test_units_do_not_matter():
     np.testing.assert_allclose(other.covariance / unit**2, fit.covariance, rtol=2e-3)
 
 
-@pytest.mark.parametrize(
-    "sigma", [Noise(-0.1, None), Noise(0.0, 0.0), Noise(np.nan, 0.1), {"data": Noise(0.1, -1.0)}, [Noise(0.0, 0.0)]]
-)
+@pytest.mark.parametrize("sigma", [Noise(-0.1, None), Noise(0.0, 0.0), Noise(np.nan, 0.1), {"data": Noise(0.1, -1.0)}])
 def test_refusals(sigma):
-    with pytest.raises(InputError, match=r"^sigma of (data|0): floor and fraction must be 0 or more, one of them > 0"):
+    with pytest.raises(InputError, match=r"^sigma of data: floor and fraction must be 0 or more, one of them > 0"):
         least_squares_fit(lambda p: {"data": line(p)}, START, {"data": readings(1)}, sigma)
 
 

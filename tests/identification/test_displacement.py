@@ -13,7 +13,7 @@ from refusals import refused
 import cddf_jax as cddf
 from cddf_jax.identification.course import course_of, paths_of
 from cddf_jax.identification.fit_inputs import courses_of
-from cddf_jax.identification.parameters import BenchSetting, of_all_tendons, slack_offsets
+from cddf_jax.identification.parameters import BenchSetting, slack_offsets
 from cddf_jax.measurements.table import Measurements
 
 D, MU, MODULUS, COMPLIANCE = 0.009, 0.3, 1.4e6, 2e-5  # m, 1, Pa, m/N
@@ -99,6 +99,7 @@ def test_what_is_not_identified_may_be_predicted(by_angles):
     assert predicted.extrapolated.tolist() == (path > np.max(LOOP)).tolist()
 
 
+@pytest.mark.slow
 def test_tip_angles_hold_the_product_of_modulus_and_compliance(by_angles):
     found = by_angles
     assert found.status["youngs_modulus"] == found.status["outside_compliance"] == "not identified"
@@ -217,20 +218,16 @@ def test_a_lag_shows_the_motor_as_it_was_before():
     np.testing.assert_allclose(jax.jacfwd(shown)(0.25), [0.0, -1.0, -2.0, 0.0, 3.0], atol=1e-12)  # less the slope
 
 
-def test_slack_offsets_belong_to_tendons():
-    table = Measurements.from_columns(
-        "bench", displacement=[1.0, 2.0], displacement_2=[3.0, 5.0], tip_angle=[0.0, 0.0], step=[0, 1]
-    )
-    here = course_of(table, {"displacement": 0.0})[0]
-    offset = of_all_tendons({"slack_offset": 0.5, "slack_offset_2": 1.0}, "slack_offset", 2)
-    found = here.true_displacement({}, jnp.asarray(here.readings), offset[None])
-    np.testing.assert_allclose(found[0, :2], [[0.5, 2.0], [1.5, 4.0]])
-
-
 def test_slack_offsets_of_trials():
     """By hand; 0 stands for a trial without a number."""
     known = {"slack_offset": 1.0, "slack_offset_2": 2.0, "slack_offset_trial_1": 3.0, "slack_offset_2_trial_3": 4.0}
     assert slack_offsets(known, 2, jnp.array([0, 1, 2, 3])).tolist() == [[1, 2], [3, 3], [1, 2], [1, 4]]
+    pair = Measurements.from_columns(
+        "bench", displacement=[1.0, 2.0], displacement_2=[3.0, 5.0], tip_angle=[0.0, 0.0], step=[0, 1]
+    )
+    here = course_of(pair, {"displacement": 0.0})[0]
+    found = here.true_displacement({}, jnp.asarray(here.readings), slack_offsets(known, 2, jnp.array([0])))
+    assert found[0, :2].tolist() == [[0, 1], [1, 3]]  # those of each tendon are taken off
     one = Measurements.from_columns("bench", displacement=[0.0, 1e-3], tip_angle=[0.0, 0.1], trial=[0, 0], step=[0, 1])
     plain = Measurements.from_columns("bench", displacement=[0.0, 1e-3], tip_angle=[0.0, 0.1], step=[0, 1])
     for tables in ([one, one], [plain, one]):  # a table without trials is one

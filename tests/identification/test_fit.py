@@ -1,11 +1,10 @@
 """Friction and modulus from tables, against the truth put in, closed forms and SciPy with the same weights."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from bodies import constant, one_kinematics_at_once, paper_body, paper_plain, replaced, straight
+from bodies import constant, paper_body, paper_plain, replaced, straight
 from loaded_bodies import reference_solution
 from places import DATA
 from scipy import optimize, stats
@@ -134,26 +133,6 @@ def test_neither_start_nor_order_matters(tensions_only, start, free):
     assert fit.combinations[RATIO].standard_error == pytest.approx(expected.standard_error, rel=1e-4)
 
 
-@one_kinematics_at_once
-def test_tensions_without_noise(kinematics):
-    """The closed form itself as data: the ratio comes back, neither factor does; a row of 0 N determines nothing."""
-    fit = cddf.fit(paper_body(kinematics, friction_coefficient=0.05, youngs_modulus=1e8), bench(LEVELS - 5.0))
-    assert_only_the_ratio(fit)
-    assert fit.combinations[RATIO].value == pytest.approx(MU / E, rel=1e-7)
-
-
-def test_noise_given(ratio_by_scipy):
-    """Standard error of m for a known noise: sigma over the norm of dT_tip/dm."""
-    fit = cddf.fit(PAPER, LOAD_CELLS, noise={"tip_tension": 0.5})
-    base, value = LOAD_CELLS["base_tension"], ratio_by_scipy[0]
-    slope = base**2 * COMPLIANCE / (1 + value * base * COMPLIANCE) ** 2
-    assert fit.combinations[RATIO].value == pytest.approx(value, rel=1e-6)
-    assert fit.combinations[RATIO].standard_error == pytest.approx(0.5 / np.linalg.norm(slope), rel=1e-5)
-    assert not fit.noise_estimated
-    value, error, (low, high) = fit.combinations[RATIO]
-    assert (value - low, high - value) == pytest.approx((stats.norm.ppf(0.975) * error,) * 2)
-
-
 @pytest.mark.slow
 def test_modulus_alone_with_the_friction_held(ratio_by_scipy):
     fit = cddf.fit(PAPER, LOAD_CELLS, ("youngs_modulus",))
@@ -218,18 +197,6 @@ def test_pulley_and_tensions_give_both(paper_route):
         return np.concatenate([pull / sigma[0], tip / sigma[1]])
 
     assert_same(paper_route, *weighted_fit(residual))
-
-
-def test_each_table_alone(paper_route, tensions_only):
-    alone = paper_route.alone
-    assert alone["pulley_simulated.csv"].status == {
-        "friction_coefficient": "identified",
-        "youngs_modulus": "not identified",
-    }
-    tensions = alone["load_cells_simulated.csv"]
-    assert tensions.status == dict.fromkeys(BOTH, "not identified")
-    expected = tensions_only.combinations[RATIO].standard_error
-    assert tensions.combinations[RATIO].standard_error == pytest.approx(expected, rel=1e-2)
 
 
 def test_band_of_a_prediction(paper_route):
@@ -299,12 +266,6 @@ def test_pulley_alone_gives_the_friction(pulley_alone):
     assert pulley_alone.standard_error["youngs_modulus"] == np.inf
     assert pulley_alone.combinations == {}
     assert "A pulley test determines the friction alone." in pulley_alone.verdict[-1]
-
-
-def test_tables_of_one_name_are_distinguished():
-    fit = cddf.fit(PAPER, [PULLEY, PULLEY])
-    assert list(fit.alone) == ["pulley_simulated.csv (1)", "pulley_simulated.csv (2)"]
-    assert set(fit.noise) == {f"pulley_simulated.csv ({i}): pulling_tension" for i in (1, 2)}
 
 
 # --- tip angle and tip position ------------------------------------------------------------------
@@ -396,42 +357,12 @@ def test_what_most_rows_contradict_is_not_identified(tip_angle):
     )
 
 
-@pytest.mark.slow
-def test_an_outlier_is_reported_with_its_row(tip_angle):
-    """Rows of the file: a comment, a head, then data, so that the seventh line holds the fifth reading."""
-    rng, base = np.random.default_rng(2), np.tile(np.linspace(5.0, 40.0, 12), 2)
-    tip, angle = closed_form(base) + 0.05 * rng.normal(size=24), wrap(base) + 0.002 * rng.normal(size=24)
-    angle[4] += 0.5
-    table = bench(base, tip_angle.name, direction=np.ones(24), tip_tension=tip, tip_angle=angle)
-    fit = cddf.fit(paper_body("exact"), replace(table, rows=np.arange(3, 27)), noise={"tip_tension": 0.05})
-    (remark,) = [remark for remark in fit.remarks if "off the model" in remark]
-    assert remark.startswith(f"row 7 of {tip_angle.name}: tip_angle lies far off the model: check it")
-
-
-def test_a_wrong_sign_is_reported():
-    """Angles of the closed form, exact kinematics, with the other sign."""
-    noise = {"tip_tension": 0.1, "tip_angle": 0.005}
-    turned = bench(tip_tension=closed_form(LEVELS), tip_angle=-wrap(LEVELS))
-    fit = cddf.fit(PAPER, turned, noise=noise)
-    assert any("tip_angle is hardly explained at all" in warning for warning in fit.warnings)
-    assert not any("add a pulley test (friction alone), tip angles" in line for line in fit.verdict)
-
-
 def test_trials_that_differ_are_reported():
     """Three trials whose friction differs by 20 %, from closed forms with 0.1 N of noise."""
     pulls, rng = np.tile(LEVELS, 3), np.random.default_rng(3)
     tip = np.concatenate([closed_form(LEVELS, mu) for mu in (0.34, 0.42, 0.5)]) + 0.1 * rng.normal(size=pulls.size)
     fit = cddf.fit(PAPER, bench(pulls, tip_tension=tip, trial=np.repeat([1, 2, 3], LEVELS.size)))
     assert any("tip_tension differs from trial to trial" in warning for warning in fit.warnings)
-
-
-def test_one_reading_of_a_pulley():
-    one = Measurements.from_columns("drum", weight=[5.0], wrap_angle=[1.0], pulling_tension=[8.0])
-    fit = cddf.fit(PAPER, one, noise={"pulling_tension": 0.1})
-    assert fit.warnings == ("youngs_modulus did not move: no datum depends on it",)  # a pulley test knows no body
-    # one reading of eq. (5): mu = ln(T / W) / theta, se = sigma / (T theta)
-    assert fit.value["friction_coefficient"] == pytest.approx(np.log(8.0 / 5.0), rel=1e-6)
-    assert fit.standard_error["friction_coefficient"] == pytest.approx(0.1 / 8.0, rel=1e-6)
 
 
 # --- refusals ------------------------------------------------------------------------------------
@@ -475,11 +406,3 @@ def test_refusals(changes, message):
     arguments = {"manipulator": paper_body(), "data": bench()} | changes
     with pytest.raises(InputError, match=f"^{message}"):
         cddf.fit(**arguments)
-
-
-def test_a_friction_that_no_tendon_has_is_doubted():
-    """As of readings in wrong units: the tip tensions of the closed form with a friction coefficient of 2.5."""
-    table = bench(tip_tension=closed_form(LEVELS, mu=2.5))
-    found = cddf.fit(PAPER, table, ["friction_coefficient"], noise={"tip_tension": 0.01, "base_tension": 0.0})
-    assert found.value["friction_coefficient"] == pytest.approx(2.5, rel=1e-6)
-    assert any("friction_coefficient = 2.5 is far above that of any tendon" in warning for warning in found.warnings)

@@ -79,17 +79,6 @@ def test_whether_a_push_comes_with_the_pull_or_before_it(way):
 
 
 @pytest.mark.slow
-def test_gravity_rests_on_a_body_that_is_pulled_with_a_push():
-    """As a `trace` under gravity alone before the step, in which the tip force grows with the tension."""
-    body, gravity = dataclasses.replace(HALF, mass_per_length=1.0), cddf.Loads(gravity=(0.0, -9.81))
-    table = cddf.Measurements.from_columns("bench", base_tension=[PULL], tip_force_y=[PUSH[1]], tip_tension=[0.0])
-    followed = course_of(table, paths=paths_of(table, "each"), stepped=True)[0]
-    shown = rows_of(body, table, course=followed, setting=cddf.BenchSetting(loads=gravity))
-    loads = dataclasses.replace(gravity, tip_force=np.array([PUSH]))
-    np.testing.assert_allclose(shown["tip_tension"], cddf.trace(body, [PULL], loads, **AS_FITTED).tip_tension)
-
-
-@pytest.mark.slow
 def test_a_fit_with_weights_on_the_body():
     """Simulated by `solve` with point loads; found again, and predicted at another force as `solve` has it."""
     body = paper_body("exact")

@@ -11,7 +11,7 @@ from bodies import paper_body
 import cddf_jax as cddf
 from cddf_jax.identification.bench import Bench, BenchModel, Evaluation
 from cddf_jax.identification.fit import _without_contradicted
-from cddf_jax.identification.verdict import SolveResults, advice_on, doubt, estimates_in_words, solve_results
+from cddf_jax.identification.verdict import SolveResults, advice_on, doubt, solve_results
 from cddf_jax.measurements.table import Measurements
 
 
@@ -53,15 +53,11 @@ def test_stated_directions_are_believed_tendon_by_tendon(stated, expected, monke
     assert (doubt([found]) == "") == (not expected)
 
 
-def test_all_contradicted_rows_are_named_with_the_option_that_leaves_them_out():
+def test_all_contradicted_rows_are_named():
     """Lines 3, 4 and 5 of one file and 3 of another, as the tables were made; the row without a reading is not one."""
     one, other = solves(direction_contradicted=3), solves(direction_contradicted=1)
-    told = doubt([one])
-    assert "in 3 of 9 rows: rows 3-5 of bench; " in told
-    assert '--leave-out "3-5", or --leave-out contradicted' in told
-    told = doubt([one, other])
-    assert "in 4 of 18 rows: rows 3-5 of bench (1) and row 3 of bench (2); " in told
-    assert '--leave-out "bench (1)=3-5" --leave-out "bench (2)=3"' in told
+    assert "in 3 of 9 rows: rows 3-5 of bench; " in doubt([one])
+    assert "in 4 of 18 rows: rows 3-5 of bench (1) and row 3 of bench (2); " in doubt([one, other])
 
 
 def test_rows_are_left_out_until_the_fit_contradicts_none():
@@ -75,36 +71,6 @@ def test_rows_are_left_out_until_the_fit_contradicts_none():
 
     assert _without_contradicted(fit).contradicted == {}
     assert asked == [{}, {"bench": [3, 5]}, {"bench": [3, 5, 2]}]
-
-
-def test_intervals_carry_their_unit():
-    """1 MPa is 1e6 Pa, 1 mm is 1e-3 m; a combination stays in SI."""
-    told: Any = SimpleNamespace(
-        status={"youngs_modulus": "identified", "length": "fixed", "base_zero": "not identified"},
-        value={"youngs_modulus": 1.4e6, "length": 0.14, "base_zero": 0.1},
-        standard_error={"youngs_modulus": 5e4, "length": 0.0, "base_zero": np.inf},
-        confidence_interval={"youngs_modulus": (1.3e6, 1.5e6), "length": (0.14, 0.14), "base_zero": (-np.inf, np.inf)},
-        combinations={"friction_coefficient / youngs_modulus": (3e-7, 1e-9, (2.98e-7, 3.02e-7))},
-        sums={},
-    )
-    assert estimates_in_words(told) == [
-        "youngs_modulus = 1.4 +- 0.05 MPa (95 %: 1.3 to 1.5 MPa): identified",
-        "length = 140 mm: fixed",
-        "base_zero: not identified",
-        "friction_coefficient / youngs_modulus = 3e-07 +- 1e-09 1/Pa: identified, although its factors are not",
-    ]
-
-
-def test_advice_for_displacements_names_what_tells_newtons_and_what_tells_backlash():
-    """docs/how_to/displacement.md: displacements and shapes hold no newtons; a backlash keeps its width."""
-    table = Measurements("bench", {"displacement": np.arange(3.0), "tip_angle": np.arange(3.0)}, np.arange(3))
-    found: Any = SimpleNamespace(status={}, combinations={}, sums={})
-    told = advice_on(found, [table], {"youngs_modulus", "outside_compliance_2"})
-    assert told.startswith("The data do not determine outside_compliance_2, youngs_modulus. What would separate them: ")
-    assert "them: a load cell at the tip, a known weight at the tip; cddf plan" in told
-    told = advice_on(found, [table], {"backlash"})
-    assert "them: a load cell at the tip, a loop of another amplitude; cddf plan" in told
-    assert "separate" not in advice_on(found, [table], {"outside_friction"})
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from cddf_jax.measurements.forces import check_on_body, forces_of
 def test_the_names_of_columns():
     spelled = ("force_y@60mm", "Force_Y @ 60 mm", "F y@60mm", "fy@60 mm")
     assert {column_meant(name) for name in spelled} == {"force_y@60mm"}
-    assert column_meant("Ftip_x") == column_meant("tip_force_x") == "tip_force_x"
+    assert column_meant("Tip Force_x") == column_meant("tip_force_x") == "tip_force_x"
     assert column_meant("x@60mm") == "x@60mm"  # a marker
     assert column_dimension("force_y@60mm") == "force"
     assert column_resembled("Force @ 60 mm") == "force_y@60mm"  # of which component is not said

@@ -3,10 +3,8 @@
 Each holds the numbers of a plain file. These are the expected ones; they went into every other file by hand.
 """
 
-import csv
 import io
 import re
-import shlex
 
 import numpy as np
 import pytest
@@ -14,7 +12,7 @@ from bodies import paper_body
 from refusals import refused
 
 import cddf_jax as cddf
-from cddf_jax.cli.options import read_columns, read_data
+from cddf_jax.cli.options import read_data
 from cddf_jax.errors import InputError
 from cddf_jax.measurements.table import Measurements, read_measurements
 from cddf_jax.measurements.trials import read_tables, trials_together
@@ -127,11 +125,6 @@ def test_columns_by_their_names_in_the_file(tmp_path):
         read(tmp_path, text, meant | {"F2": "base_tension [N]"})
 
 
-def test_the_unit_that_is_said_wins_over_that_of_the_file(tmp_path):
-    table = read(tmp_path, PLAIN.replace("tip_tension [N]", "cell (V)"), {"cell": "tip_tension [mN]"})
-    np.testing.assert_allclose(table["tip_tension"], [4.79e-3, 9.19e-3, 17.02e-3], rtol=1e-15)
-
-
 def test_two_headers_are_refused(tmp_path):
     """The first is the header, and the second no row of numbers; also one that knows more."""
     for below in (PLAIN, PLAIN.replace("\n", ",1\n").replace(",1", ",tip_angle [deg]", 1)):
@@ -160,70 +153,29 @@ def test_directions_in_words(tmp_path):
 # --- unknown columns -----------------------------------------------------------------------------
 
 
-GUESSES = {  # what an engineer says who reads the heads
-    "LC1 (N),LC2 (N)": "base_tension [N],tip_tension [N]",  # two cells on one tendon
-    "Kraft_oben (kN),Kraft_unten (kN),Winkel (°)": "tip_tension [kN],base_tension [kN],tip_angle [°]",
-    "Seilkraft [N],EM_X (mm),EM_Y (mm),EM_Z (mm)": "base_tension [N],tip_x [mm],tip_y [mm],tip_z [mm]",
-    "Zeit_ms,cell1,cell2": "time [ms],base_tension [N],tip_tension [N]",
-    "cell_base (g),bend_deg": "base_tension [gf],tip_angle [deg]",
-    "F_soll [N],F_ist [N],Weg [mm],U [V]": ",base_tension [N],,",
-    "head_x [cm],tip pos x [mm],F [N]": ",tip_x [mm],base_tension [N]",
-    "Umschlingungswinkel [rad],Gewicht [N],Zugkraft [N]": "wrap_angle [rad],weight [N],pulling_tension [N]",
-    "Zeit_ms,servo_4_mm,servo_3_mm,tip pos x [mm]": "time [ms],displacement [mm],displacement_2 [mm],tip_x [mm]",
-    'F "a" [N],`F` $b [N]': "base_tension [N],tip_tension [N]",
-}  # fmt: skip
-
-
-def options_in(said):
-    """The columns of the options that a text prints, read as the shell and the command line read them."""
-    words = shlex.split(said[said.index("--column") :].split("; no guess")[0].replace("; ", " "))
-    assert words[::2] == ["--column"] * len(words[::2])
-    return read_columns(words[1::2])
-
-
-@pytest.mark.parametrize("heads", GUESSES)
-def test_one_message_has_an_option_for_each_unknown_column_and_the_options_work(tmp_path, heads):
-    expected = dict(zip(heads.split(","), GUESSES[heads].split(","), strict=True))
-    text = io.StringIO()
-    csv.writer(text).writerows([expected, [1] * len(expected), [2] * len(expected)])
-    path = write(tmp_path, text.getvalue())
-    said = refused(read_tables, [path])
-    assert said.startswith(f"{path}: row 1: the column base_tension is missing; ") or "wrap" in said
-    assert options_in(said) == {head: meant for head, meant in expected.items() if meant}
-    for head, meant in expected.items():
-        assert bool(meant) or repr(head) in said.partition("; no guess for ")[2]
-    (table,) = read_tables([path], options_in(said))
-    assert set(table.columns) == {meant.split(" ")[0] for meant in expected.values() if meant}
-
-
-def test_where_no_column_can_be_guessed(tmp_path):
-    said = refused(read, tmp_path, "a,X [mm],X [mm]\n1,2,3\n")
-    assert said.endswith(
-        "no guess for 'a', 'X [mm]'; nothing looks like base_tension: --column \"NAME=base_tension [N]\""
-    )
-
-
 @pytest.mark.parametrize(
-    "text",
+    ("text", "base", "tip"),
     [
-        "Kraft_unten (N);Kraft_oben (N)\n5,0;4,79\n10,0;9,19\n20,0;17,02\n".encode("latin-1"),
-        "Prüfstand 3;;\nNr.;Kraft unten;Kraft oben;Bemerkung\n1;5,0;4,79;\n2;10,0;9,19;gut\n3;20,0;17,02;\n",
-        "Zeit;Kraft unten;Kraft oben\ns;mN;N\n0,1;5000,0;4,79\n0,2;10000,0;9,19\n0,3;20000,0;17,02\n",
-        LABVIEW + "X_Value\tBase\tTip\tComment\n0,0\t5\t4,79\n0,1\t10\t9,19\n0,2\t20\t17,02\n",
+        ("Kraft_unten (N);Kraft_oben (N)\n5,0;4,79\n10,0;9,19\n20,0;17,02\n".encode("latin-1"),
+         "Kraft_unten", "Kraft_oben"),
+        ("Prüfstand 3;;\nNr.;Kraft unten;Kraft oben;Bemerkung\n1;5,0;4,79;\n2;10,0;9,19;gut\n3;20,0;17,02;\n",
+         "Kraft unten", "Kraft oben"),
+        ("Zeit;Kraft unten;Kraft oben\ns;mN;N\n0,1;5000,0;4,79\n0,2;10000,0;9,19\n0,3;20000,0;17,02\n",
+         "Kraft unten", "Kraft oben"),
+        (LABVIEW + "X_Value\tBase\tTip\tComment\n0,0\t5\t4,79\n0,1\t10\t9,19\n0,2\t20\t17,02\n", "Base", "Tip"),
     ],
-)
-def test_a_header_without_a_known_name_is_found(tmp_path, text):
+)  # fmt: skip
+def test_a_header_without_a_known_name_is_found(tmp_path, text, base, tip):
+    """The message names the heads, and the option that says which one is missing."""
     path = write(tmp_path, text)
-    said = options_in(refused(read_tables, [path]))
-    (table,) = read_tables([path], {name: meant for name, meant in said.items() if "time" not in meant})
+    said, unit = refused(read_tables, [path]), "mN" if b";mN;" in path.read_bytes() else "N"
+    missing, _, heads = said.partition(", where NAME is one of ")
+    assert missing.endswith(
+        'the column base_tension is missing; add it, or say which one it is by --column "NAME=base_tension [N]"'
+    )
+    assert f"'{base}" in heads
+    (table,) = read_tables([path], {base: f"base_tension [{unit}]", tip: "tip_tension [N]"})
     assert table.checksum == read(tmp_path, PLAIN, name="plain.csv").checksum
-
-
-def test_further_readings_are_named(tmp_path):
-    text = PLAIN.replace("\n", ",1,2\n").replace("1,2", "F_x [N],Winkel (°)", 1)
-    read_as = read(tmp_path, text).read_as
-    assert read_as[-1].endswith('then copy: --column "Winkel (°)=tip_angle [°]"')  # a load is no reading
-    assert "tip_angle" in read(tmp_path, text, options_in(read_as[-1]))
 
 
 def test_a_column_that_was_asked_for_and_is_not_there_is_an_error(tmp_path):

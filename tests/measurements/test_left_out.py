@@ -5,7 +5,7 @@ import pytest
 
 import cddf_jax as cddf
 from cddf_jax.errors import InputError
-from cddf_jax.measurements.left_out import as_leave_out, rows_in_words, without
+from cddf_jax.measurements.left_out import rows_in_words, without
 from cddf_jax.measurements.trials import read_tables
 
 TENSION = np.linspace(5.0, 40.0, 8)
@@ -24,7 +24,6 @@ def test_ways_to_name_rows(rows):
     assert np.flatnonzero(np.isnan(found["tip_angle"])).tolist() == [1, 3, 4, 5]
     np.testing.assert_array_equal(found["base_tension"], TENSION)  # they stay as steps of a path
     assert rows_in_words(left_out) == "rows 2, 4-6 of bench"
-    assert as_leave_out(left_out, alone=True) == '--leave-out "2, 4-6"'  # as it is read again above
 
 
 def test_rows_of_files(tmp_path):
@@ -36,7 +35,6 @@ def test_rows_of_files(tmp_path):
     (*_, found), left_out = without(tables, {"run_2.csv": "3"})
     assert left_out == {"run_2.csv": [3]}  # the second row of data is line 3
     assert np.flatnonzero(np.isnan(found["tip_tension"])).tolist() == [len(found) - 2]
-    assert as_leave_out(left_out, alone=False) == '--leave-out "run_2.csv=3"'
     with pytest.raises(InputError, match="say of which file, such as"):
         without(tables, "3")
 

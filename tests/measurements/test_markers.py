@@ -55,12 +55,12 @@ def test_names_that_a_laboratory_gave(read):
 
 
 def test_unknown_columns(read):
-    """The options that are printed work, and a column that is not there is an error."""
+    """The message names them with the option that says what they are; a column that is not there is an error."""
     names = "row,marker,EM_X (mm),EM_Y (mm),s [mm]\n1,head,79.1,,80\n"
     said = refused(read, BENCH, names.replace(",,", ",12.3,"))
     assert said.endswith(
-        "b.csv: row 1: the columns x and y are missing; add them; check these guesses by unit, words and order, then "
-        'copy: --column "EM_X (mm)=x [mm]" --column "EM_Y (mm)=y [mm]" --column "s [mm]=arc_length [mm]"'
+        'b.csv: row 1: the column x or y is missing; add it, or say which one it is by --column "NAME=x [mm]", '
+        "where NAME is one of 'EM_X (mm)', 'EM_Y (mm)', 's [mm]'"
     )
     (table,) = read(BENCH, names, columns={"EM_X (mm)": "x [mm]", "s [mm]": "arc_length [mm]"})
     np.testing.assert_allclose([table["x@head"][0], table.markers["head"].arc_length], [0.0791, 0.08], rtol=1e-15)

@@ -89,7 +89,6 @@ CASES = [
     (_with("tip_tensoin [N]"), "row 1: unknown column 'tip_tensoin'; did you mean tip_tension? Rename it, or"),
     (_with("T_base_0 [N]"), "unknown column 'T_base_0'; did you mean base_tension?"),  # tendons count from 1
     (_with("tip_tension [g]"), "needs a unit of force, got [g]; write for example [N]; a mass is not a force: did you"),
-    (_with("tip_x [px]"), "tip_x needs a unit of length, got [px] with the unknown unit 'px'; write for example [mm]"),
     (_with("direction"), "row 2, column direction: must be 1 or -1, got 4.79; write 1 where"),
     (PAIRS.replace("tip_tension", "base_tension"), " and 'base_tension [N]' both are the column base_tension; remove"),
     ("base_tension [N]  tip_tension [N]\n5 4", "is no header (lines with # are notes); write names and units such"),
@@ -99,14 +98,12 @@ CASES = [
     ("weight [N], wrap_angle [rad]\n1, 1", "the column pulling_tension is missing; add it (a pulley test has wrap"),
     ("trial, base_tension [N]\n , 3", "row 2, column trial: the cell is empty; fill it"),
     ("5, 4.79\n10, 9.19", "row 1: '5' is no header (lines with # are notes); write names and units such"),
-    (PAIRS.replace("10, 9.19", "10,5, 9,19"), "row 3 has 4 cells, the header 2; with decimal commas separate the"),
     (PAIRS.replace(", ", ";") + "5;4,79", "row 4, column tip_tension: '4,79' has a comma, but row 2, column"),
     (PAIRS + '"1,234.5", 5', "row 4, column base_tension: '1,234.5' is not a number; write it with a decimal"),
     (PAIRS + '"15", "5', "row 4: is not CSV (unexpected end of data); remove a misplaced quotation mark there"),
     (PAIRS.encode("utf-16-le"), "is not text in UTF-8, UTF-16 or Latin-1; save it as CSV UTF-8"),  # without its mark
     (b"PK\x03\x04\x14\x00\x06\x00" + bytes(range(256)), "is not a spreadsheet in the format .xlsx (File is not a zip"),
     (b"\xd0\xcf\x11\xe0" + bytes(range(256)), "is a spreadsheet in the old format .xls; save it as .xlsx or as CSV"),
-    (np.random.default_rng(0).bytes(100_000), "is not text in UTF-8, UTF-16 or Latin-1"),
 ]  # fmt: skip
 
 
@@ -140,8 +137,6 @@ def test_from_columns():
         ({"base_tension": []}, "bench: has no rows; add measurements"),
         ({"base_tension": 5.0}, "bench: column base_tension: needs one list of numbers, got shape ()"),
         ({"base_tension": ["a"]}, "bench: column base_tension: text cannot be used, got 'a'; give the number alone,"),
-        ({"base_tension": [1, -2]}, "bench: row 2, column base_tension: must be 0 or more, got -2 N"),
-        ({"base_tension": [1], "tip_x": [np.inf]}, "bench: row 1, column tip_x: must be finite, got inf"),
         ({"base_tensoin": [1]}, "bench: unknown column 'base_tensoin'; did you mean base_tension?"),
     ],
 )
@@ -153,8 +148,6 @@ def test_from_columns_refuses(columns, message):
 
 # --- what deserves a look ------------------------------------------------------------------------
 
-TWO = {"base_tension": [9, 8], "base_tension_2": [10, 20]}
-
 
 @pytest.mark.parametrize(
     ("columns", "warning"),
@@ -165,28 +158,14 @@ TWO = {"base_tension": [9, 8], "base_tension_2": [10, 20]}
             "below that of the row before: 2 of 6 (row 4: 30 N after 75 N)",
         ),
         ({"base_tension": [10, 75, 30, 10], "direction": [1, 1, -1, -1]}, "1 of 4 (row 3: 30 N after 75 N)"),
-        ({"base_tension": [10, 40, 75, 10, 40, 75], "step": range(6)}, "it rises again: 1 of 6 (row 4: 10 N"),
-        ({"base_tension": [10, 40, 75, 0, 10, 40, 75], "step": range(7)}, None),  # fully released in between
+        ({"base_tension": [10, 40, 75, 30, 10], "step": range(5)}, None),  # a path
         ({"base_tension": [10, 10, 10], "base_tension_2": [10, 75, 30]}, "base_tension_2 below that of the row before"),
         ({"base_tension": [10, 75.1, 75, 75.2, 10.1, 75.3]}, None),  # noise at a level, a fresh start at the lowest
         ({"base_tension": [10, 75, 30, 40], "trial": ["a", "a", "b", "b"]}, None),  # another trial
-        ({"base_tension": [0, 0.1, 20], "tip_tension": [0.05, 0.15, 19]}, None),  # noise about 0
-        ({"base_tension": [10, 20], "tip_tension": [9, 21.5]}, "(row 2: 21.5 N over 20 N); are the cells swapped"),
-        (TWO | {"tip_tension_2": [12, 19], "direction_2": [1, 1]}, "base_tension_2: 1 of 2 (row 1: 12 N over 10 N)"),
-        # sliding out the tip tension is the larger one, by the capstan law
-        (TWO | {"tip_tension_2": [12, 24], "direction_2": [-1, -1]}, None),
-        # of several tendons an unstated direction is found with the equilibrium, and may be either
-        (TWO | {"tip_tension_2": [12, 19]}, None),
         (
             {"base_tension": [0, 10, 20], "tip_tension": [-0.1, 9, -0.2], "tip_angle": [0, np.nan, 0.3]},
             "rows with tip_tension below 0: 2 of 3 (row 1: -0.1 N); has the zero of the cell drifted?",
         ),
-        ({"base_tension": [10, 20], "tip_tension": [13, 26], "direction": [-1, -1]}, None),  # sliding out
-        (
-            {"wrap_angle": [90, 180], "weight": [5, 5], "pulling_tension": [9, 18]},
-            "wrap_angle beyond 5 turn(s): 2 of 2 (row 1: 90 rad)",
-        ),
-        ({"wrap_angle": [np.pi / 2, 6 * np.pi], "weight": [5, 5], "pulling_tension": [9, 18]}, None),
     ],
 )  # fmt: skip
 def test_warnings(columns, warning):

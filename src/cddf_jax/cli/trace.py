@@ -22,7 +22,7 @@ PathOption = Annotated[
         "--path",
         help='Base tensions in their order in time, from rest, such as "0 N, 75 N, 40 N", or displacements of the '
         'tendon, such as "0 mm, 12 mm, 10 mm", or tip angles, such as "60 deg, 30 deg". Or a CSV or .xlsx file with a '
-        "column base_tension [N], tendon_displacement [mm] or tip_angle [deg]. Between two values the path is "
+        "column base_tension [N], displacement [mm] or tip_angle [deg]. Between two values the path is "
         'straight. With several tendons, give it once for each; a single value such as "20 N" is kept.',
     ),
 ]

@@ -78,7 +78,8 @@ def determine(evidence: Evidence) -> Determination:
     rank = len(spectrum.root)
     reach = evidence.uncertainty(np.eye(len(names)))
     error = reach.standard_error
-    low, high = evidence.interval(reach)
+    below, above = (np.ones((2, len(names))) if evidence.ends is None else evidence.ends.T) * reach.half_width
+    low, high = value - below, value + above
 
     status = _statuses(evidence, error, low, high)
     lost = np.array([word == NOT_IDENTIFIED for word in status])
@@ -87,6 +88,7 @@ def determine(evidence: Evidence) -> Determination:
     limit = np.minimum(high, upper)
     low, high = np.where(open_ended, lower, low), np.where(open_ended, upper, high)
     high[list(evidence.bounded_above)] = limit[list(evidence.bounded_above)]
+    nearest_bound = np.where(value - lower < upper - value, lower, upper)
     spread = np.sqrt(np.diag(spectrum.covariance))
     with_products = evidence.products and evidence.noise_known and not evidence.failed
 
@@ -95,7 +97,7 @@ def determine(evidence: Evidence) -> Determination:
 
     return Determination(
         names=names,
-        value=by_name(np.where(evidence.at_bound, evidence.nearest_bound, value).tolist()),
+        value=by_name(np.where(evidence.at_bound, nearest_bound, value).tolist()),
         standard_error=by_name(np.where(open_ended, np.inf, error).tolist()),
         confidence_interval=by_name(zip(low.tolist(), high.tolist(), strict=True)),
         status=by_name(status),

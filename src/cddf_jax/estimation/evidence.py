@@ -139,12 +139,6 @@ class Evidence:
         rows = {name: own / np.sqrt(factors.get(name, 1.0)) for name, own in self.rows.items()}
         return replace(self, rows=rows)
 
-    @property
-    def nearest_bound(self) -> np.ndarray:
-        """By parameter, the bound that the value is closer to."""
-        lower, upper = self.space.lower, self.space.upper
-        return np.where(self.value - lower < upper - self.value, lower, upper)
-
     @cached_property
     def jacobian(self) -> np.ndarray:
         """All rows, those of the priors last."""
@@ -184,12 +178,6 @@ class Evidence:
             np.where(uncertain > TINY, np.maximum(2 / np.maximum(uncertain, TINY), 1.0), np.inf),
             np.maximum(np.einsum("qr,rs,qs->q", unit, noise.growth, unit), 0.0),
         )
-
-    def interval(self, reach: Uncertainty) -> tuple[np.ndarray, np.ndarray]:
-        """Both ends of the 95 % intervals of the parameters, of which `reach` is the uncertainty."""
-        ends = np.ones((len(self.value), 2)) if self.ends is None else self.ends
-        below, above = ends.T * reach.half_width
-        return self.value - below, self.value + above
 
     @cached_property
     def _estimated_noise(self) -> EstimatedNoise:

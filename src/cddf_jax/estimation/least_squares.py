@@ -3,7 +3,7 @@
 The optimiser sees dimensionless unknowns of order one. Noise that is not given is estimated, group by group.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import jax
@@ -82,7 +82,7 @@ class LeastSquaresFit(Determination):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Remarks on parameters at a bound, without effect or determined by one datum, and on residuals."""
+        """Remarks on parameters at a kink or determined by one datum, and on residuals."""
         if self.result == INTERRUPTED:  # some remarks fit again
             return ()
         return (
@@ -113,14 +113,9 @@ class LeastSquaresFit(Determination):
         evidence = replace(self.evidence, failed=True, bounded_above=())
         return replace(self, **vars(determine(evidence)), evidence=evidence, success=False, result=reason)
 
-    def determined_by(self, *groups: str, with_priors_of: Collection[str] = ()) -> Determination:
-        """What some groups of the data alone would determine if this estimate were the true values.
-
-        Args:
-            groups: of the data.
-            with_priors_of: parameters whose priors are kept.
-        """
-        return determine(self.evidence.of(groups, with_priors_of))
+    def determined_by(self, *groups: str) -> Determination:
+        """What some groups of the data alone, without priors, would determine if this estimate were the true values."""
+        return determine(self.evidence.of(groups))
 
     def band(self, sensitivity: np.ndarray) -> np.ndarray:
         """Half-width of the 95 % band of predictions with this derivative by the parameters (rows: predictions).
@@ -153,8 +148,8 @@ def least_squares_fit(
             A function or a pytree that is callable; if it is given again, nothing is compiled.
         start: first guess, a mapping from names to numbers, or any pytree of numbers or arrays.
         observed: data, one array or a pytree of arrays; each array is a group with its own noise.
-        sigma: standard deviation of the noise: one number, or the structure of `observed` with a number, an
-            array, a `Noise(floor, fraction)` or None per group. None: it is estimated from the residuals.
+        sigma: standard deviation of the noise: a number, an array, a `Noise(floor, fraction)` or None, for all groups,
+            or a mapping with one of these by the name of a group. None: it is estimated from the residuals.
         bounds: by parameter name, (lower, upper), None for none; the estimate stays inside.
         priors: by parameter name, mean and standard deviation of a Gaussian.
         scales: by parameter name, a size that matters, for parameters that may be 0. If the estimate is smaller, the

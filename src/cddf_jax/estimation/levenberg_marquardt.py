@@ -19,8 +19,6 @@ from .residuals import LeastSquaresProblem
 
 TOLERANCE = 1e-9  # relative, of unknowns and cost; with a smaller one rounding errors of the cost decide on steps
 MAX_STEPS = 500
-LONG = 20.0  # s: a search that took longer says how to stop it
-UNEXPLAINED = 0.9  # of the scatter of the data, left in the residuals: hardly anything is explained
 STALLED = 6  # looks at a search that bring no noteworthy fall of the cost, where the model has kinks: it ends
 LEAST_RANK = 1e-6  # of the largest singular value: what is determined less does not move to first order
 CLEARLY = 10.0  # factor between a cost above a limit and what a step promises, where no step brings it below
@@ -136,7 +134,6 @@ class Watch:
     """The searches of one fit as they go on."""
 
     ends: list[Minimum] = field(default_factory=list)  # of the searches that hold no parameter, so far
-    begun: float = field(default_factory=time.monotonic)  # s, of the clock
     deadline: float = np.inf  # s, of the clock, when searches end wherever they are
 
     def saw(self, minimum: Minimum, *, first: bool, free: bool) -> None:
@@ -147,14 +144,6 @@ class Watch:
     def best(self, noise: Sequence[Numbers]) -> Minimum | None:
         """The best place so far, with some noise."""
         return min(self.ends, key=lambda end: end.cost_with(noise), default=None)
-
-    def in_words(self, minimum: Minimum) -> str:
-        """Where a search is, and after a while how to end it."""
-        if time.monotonic() - self.begun < LONG:
-            return minimum.in_words
-        hopeless = not minimum.misfit[0] < UNEXPLAINED
-        warning = "; hardly anything is explained: check units, signs and frames" if hopeless else ""
-        return f"{minimum.in_words}{warning}; Ctrl-C ends it with the best so far"
 
 
 WATCHED: ContextVar[Watch | None] = ContextVar("WATCHED", default=None)
@@ -187,7 +176,7 @@ def minimise(
             if ended or steps >= problem.max_steps or time.monotonic() > watch.deadline:
                 return minimum.outcome
             if SHOWN.get():
-                here.what = watch.in_words(minimum) if held is None else minimum.in_words
+                here.what = f"{minimum.in_words}; Ctrl-C ends it with the best so far"
 
 
 def _has_stalled(costs: Sequence[float], noteworthy: float) -> bool:

@@ -256,7 +256,11 @@ def group_observations(observed: PyTree, sigma: PyTree) -> tuple[Observed, ...]:
     for name, v in zip(names, values, strict=True):
         if not np.all(np.isfinite(v)):
             raise InputError(f"{name}: entry {int(np.argmin(np.isfinite(v.ravel()))) + 1} is not finite; leave it out")
-    return tuple(map(_checked, names, values, _per_group(sigma, names, observed)))
+    given = sigma if isinstance(sigma, Mapping) else dict.fromkeys(names, sigma)
+    if unknown := [name for name in given if name not in names]:
+        there = ", ".join(names)
+        raise InputError(f"sigma is given for {unknown[0]!r}, which is not a group of data; there are {there}")
+    return tuple(_checked(name, v, given.get(name)) for name, v in zip(names, values, strict=True))
 
 
 def _checked(name: str, values: np.ndarray, sigma: PyTree) -> Observed:
@@ -274,22 +278,3 @@ def _checked(name: str, values: np.ndarray, sigma: PyTree) -> Observed:
                 f"sigma of {name} must be one number or of shape {values.shape} like the data, got {sigma.shape}"
             )
     return Observed(name, values, sigma)
-
-
-def _per_group(sigma: PyTree, names: tuple[str, ...], observed: PyTree) -> list[PyTree]:
-    """The given sigma of each group, None if it is not known."""
-    if isinstance(sigma, Noise):
-        return [sigma] * len(names)
-    if isinstance(observed, Mapping) and isinstance(sigma, Mapping):
-        for name in sigma:
-            if name not in names:
-                raise InputError(
-                    f"sigma is given for {name!r}, which is not a group of data; there are {', '.join(names)}"
-                )
-        return [sigma.get(name) for name in names]
-    if isinstance(sigma, Mapping | list | tuple):
-        sigmas = jax.tree.leaves(sigma, is_leaf=lambda x: x is None or isinstance(x, Noise))
-        if len(sigmas) != len(names):
-            raise InputError(f"sigma has {len(sigmas)} entries for {len(names)} groups of data ({', '.join(names)})")
-        return sigmas
-    return [sigma] * len(names)

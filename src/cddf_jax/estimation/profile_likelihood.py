@@ -23,8 +23,6 @@ class Profile(NamedTuple):
     name: str
     value: np.ndarray
     rise: np.ndarray  # of the sum of squares over its minimum; inf where the model has no solution
-    others: np.ndarray  # (values, parameters): all parameters, refitted
-    names: tuple[str, ...]  # of the columns
     threshold: float  # the rise that ends the 95 % interval
     confidence_interval: tuple[float, float]  # an open side ends at the bound, at infinity or where the model ends
     closed: tuple[bool, bool]  # below, above: whether the data close the interval
@@ -42,7 +40,7 @@ def profile_likelihood(minimum: Minimum, name: str, standard_error: float, quant
     i, threshold = space.names.index(name), quantile**2
     size = float(max(best.size[i], space.scale[i]) if space.at_bound(best.parameters)[i] else best.size[i])
     half_width = min(quantile * standard_error, size)
-    estimate = _Point(float(best.parameters[i]), 0.0, best.z, best.parameters)
+    estimate = _Point(float(best.parameters[i]), 0.0, best.z)
     sides = [_Side(minimum, i, threshold, float(bound[i]), [estimate]) for bound in (space.lower, space.upper)]
     for sign, side in zip((-1, 1), sides, strict=True):
         for distances in (NEAR * half_width, NEAR[-1] * half_width + FAR * size):
@@ -55,9 +53,9 @@ def profile_likelihood(minimum: Minimum, name: str, standard_error: float, quant
     else:
         ends = [(side.bound, False, False) for side in sides]
     low_to_high = [*reversed(below.points), *above.points[1:]]
-    value, rise, _, others = map(np.array, zip(*low_to_high, strict=True))
+    value, rise, _ = map(np.array, zip(*low_to_high, strict=True))
     interval, closed, model_ends = zip(*ends, strict=True)
-    return Profile(name, value, rise, others, space.names, threshold, interval, closed, model_ends)
+    return Profile(name, value, rise, threshold, interval, closed, model_ends)
 
 
 class _Point(NamedTuple):
@@ -66,7 +64,6 @@ class _Point(NamedTuple):
     value: float
     rise: float
     z: np.ndarray
-    parameters: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -106,11 +103,11 @@ class _Side:
         with np.errstate(divide="ignore", invalid="ignore"):  # an estimate on its bound is infinitely far away in z
             at = space.inverse(self.i, np.array([place, near.value, first.value]))
             ahead = near.z + (near.z - first.z) * (at[0] - at[1]) / (at[1] - at[2])
-        found, solved = _Point(place, np.inf, near.z, near.parameters), True
+        found, solved = _Point(place, np.inf, near.z), True
         for z in [ahead] * bool(np.all(np.isfinite(ahead))) + [near.z]:
             moved, rise = self.minimum.refit(hold_one(near.z.size, self.i, place), z)
             if rise < found.rise:
-                found, solved = _Point(place, rise, moved.z, moved.parameters), bool(moved.solved)
+                found, solved = _Point(place, rise, moved.z), bool(moved.solved)
             if found.rise <= self.threshold:
                 break
         if solved or found.rise <= self.threshold:

@@ -6,9 +6,10 @@ import numpy as np
 from scipy.special import chdtrc, fdtrc, ndtr, stdtr
 
 from .evidence import Evidence, without_nan
-from .levenberg_marquardt import UNEXPLAINED, Minimum
+from .levenberg_marquardt import Minimum
 from .parameter_space import TINY
 
+UNEXPLAINED = 0.9  # of the scatter of the data, left in the residuals: hardly anything is explained
 OUTLIER_CHANCE = 0.01
 WITHIN = 3.0  # standard deviations: data farther away do not decide whether a model explains the others
 AS_GIVEN = 4.0  # mean square of residuals over the given noise, below which the noise explains them
@@ -23,22 +24,17 @@ Place = Callable[[str, int], str]  # of the k-th datum of a group in words, k fr
 
 
 def remarks_on_parameters(evidence: Evidence, place: Place) -> list[str]:
-    """Remarks on parameters at a bound, without effect, or determined mostly by one datum."""
+    """Remarks on parameters at a kink of the model, or determined mostly by one datum."""
     jacobian, found = evidence.jacobian, []
     covariance = evidence.spectrum.covariance
     share = (covariance @ jacobian.T) ** 2 / np.maximum(np.diag(covariance), TINY)[:, None]
     data = [(name, k) for name, rows in evidence.rows.items() for k in range(len(rows))]
+    many = len(data) > 2 * len(evidence.space.names)
     for i, name in enumerate(evidence.space.names):
         if i == evidence.kink:
             found.append(f"{name} lies at a kink of the model; the standard errors are those on one side of it")
-        if evidence.at_bound[i]:
-            nearer = evidence.nearest_bound[i]
-            otherwise = "" if i in evidence.bounded_above else ", or it has no effect"
-            found.append(f"{name} ended on its bound {nearer:g}: the data put it there or beyond{otherwise}")
-        elif not np.any(jacobian[:, i]):
-            found.append(f"{name} did not move: no datum depends on it")
-        elif len(data) > 2 * len(evidence.space.names) and np.max(share[i, : len(data)]) > ONE_DATUM:
-            k = int(np.argmax(share[i, : len(data)]))
+        k = int(np.argmax(share[i, : len(data)]))
+        if many and not evidence.at_bound[i] and share[i, k] > ONE_DATUM:
             found.append(
                 f"{name} depends on one datum, {place(*data[k])}, for {100 * share[i, k]:.0f} % of its variance"
             )

@@ -47,8 +47,10 @@ def _from_starts(task: FitTask, starts: int, seed: int) -> Ending:
         found = [minimise(problem, problem.space.first()), *_elsewhere(problem, slice(0, starts - 1), seed)]
         return search_from(task, min(found, key=_height).z)._replace(starts=np.sort([*map(_height, found)]))
     only = search_from(task, problem.space.first())
-    result = STOPPED_SHORT if _ran_away(task, only) else only.result
-    return only._replace(result=result, starts=np.array([_cost(task, only)]))
+    known = only.determination.combinations or set(only.determination.status.values()) != {NOT_IDENTIFIED}
+    if not known and np.any(problem.space.times_the_start(only.minimum.outcome.parameters) > FAR):
+        only = only._replace(result=STOPPED_SHORT)  # it went far away: the cost falls without a minimum
+    return only._replace(starts=np.array([_cost(task, only)]))
 
 
 def _search(task: FitTask, seed: int, watch: Watch) -> Ending:
@@ -110,14 +112,6 @@ def trouble(task: FitTask, ending: Ending) -> str:
         gone = lost
     names = [name for name, far in zip(determination.names, gone, strict=True) if far]
     return f"ended where the data do not determine {', '.join(names)}" if names else ""
-
-
-def _ran_away(task: FitTask, ending: Ending) -> bool:
-    """Whether a search went far away to where the data determine nothing: the cost falls without a minimum."""
-    determination = ending.determination
-    if determination.combinations or set(determination.status.values()) != {NOT_IDENTIFIED}:
-        return False
-    return bool(np.any(task.problem.space.times_the_start(ending.minimum.outcome.parameters) > FAR))
 
 
 # --- searches -------------------------------------------------------------------------------------

@@ -185,7 +185,7 @@ def _result(minimum: Minimum, evidence: Evidence, least_rise: float, *, settled:
     if unexplained and 2 * sum(unexplained.values()) >= minimum.problem.num_data:
         return (
             f"hardly anything of {', '.join(unexplained)} is explained (less than a fifth of the variance); "
-            "check units and signs, start closer, or search from more starts"
+            "check units, signs and frames, start closer, or search from more starts"
         )
     return SUCCESSFUL
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..estimation.least_squares import LeastSquaresFit
-from ..estimation.levenberg_marquardt import UNEXPLAINED
+from ..estimation.remarks import UNEXPLAINED
 from ..measurements.markers import registered
 from ..robot.manipulator import Manipulator
 from .bench import Bench, BenchModel, Group
@@ -84,15 +84,6 @@ def _with_pose(free: Iterable[str]) -> str:
     own = sorted({name for name in free if not name.startswith((TRIALS, CAMERA))})
     names = [*own, CAMERA]
     return f"fit the pose of its frame too: {' '.join(f'--free {name}' for name in names)} (free={names} in Python)"
-
-
-def frame_hint(fit: LeastSquaresFit, groups: Sequence[Group], manipulator: Manipulator) -> str:
-    """What to do where positions are hardly explained, and the pose of their frame was not fitted; else ""."""
-    ratio, group = fit.minimum.misfit
-    positions = [one.label for point in _points(groups) for one in point.axes.values()]
-    if ratio < UNEXPLAINED or group not in positions or set(camera_parameters(manipulator)) <= set(fit.names):
-        return ""
-    return f"{group} is hardly explained: if it is not measured in the frame of the base, {_with_pose(fit.names)}."
 
 
 def unexplained_pose(statistics: LeastSquaresFit, groups: Sequence[Group], manipulator: Manipulator) -> str:

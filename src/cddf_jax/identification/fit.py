@@ -25,7 +25,7 @@ from ..measurements.trials import repeated_tables
 from ..robot.manipulator import Manipulator
 from ..statics.arguments import refuse_batch
 from . import bench
-from .camera import camera_start, check_reach, frame_hint, unexplained_pose
+from .camera import camera_start, check_reach, unexplained_pose
 from .course import CLOSE, EACH, SHORT_STEPS
 from .fit_inputs import courses_of, noise_of, split_noise, trials_of, unread_rows
 from .parameters import (
@@ -42,14 +42,12 @@ from .parameters import (
 from .predictions import (
     Numbers,
     Prediction,
-    TipMisfit,
     beyond_the_data,
     moved_by_finer_steps,
     rows_to_predict,
-    tip_misfits,
 )
 from .random_effects import errors_of_base, fit_trials
-from .rivals import Rival, alike_in_words, rivals_of
+from .rivals import Rival, rivals_of
 from .tension_before import Before
 from .verdict import (
     AGAINST,
@@ -64,9 +62,9 @@ from .verdict import (
     so_far_in_words,
     solve_results,
     variance_of_neighbours,
+    warnings_of_increments,
     warnings_of_inputs,
     warnings_of_kinematics,
-    warnings_of_numbers,
     warnings_of_rows,
     warnings_of_solves,
     warnings_of_trials,
@@ -96,8 +94,6 @@ class Fit(LeastSquaresFit):
     def verdict(self) -> tuple[str, ...]:
         """In words: what the data determine, what they do not determine, and what measurement would help."""
         lines = [] if self.success else [f"The fit failed: {self.result}. No parameter is identified."]
-        if not self.success and (hint := frame_hint(self, self.groups, self.manipulator)):
-            lines.append(hint)
         left_out = self.options["leave_out"]
         lines += [f"Left out: {rows_in_words(left_out)}."] if left_out else []
         interrupted = self.result == INTERRUPTED
@@ -116,9 +112,8 @@ class Fit(LeastSquaresFit):
         return (
             *warnings_of_rows(tables, self.model, self.without_jitter),
             *warnings_of_inputs(self, tables, self.model, self.options["noise"]),
-            *warnings_of_numbers(self, self.moved_by_steps),
+            *warnings_of_increments(self.moved_by_steps),
             *(rival.in_words for rival in self.rivals if rival.in_words),
-            *alike_in_words(self.rivals),
             *repeated_tables(tables),
             *warnings_of_kinematics(tables, self.manipulator),
             *(remark for remark in self.remarks if not remark.startswith(TRIALS)),
@@ -220,11 +215,6 @@ class Fit(LeastSquaresFit):
     def moved_by_steps(self) -> dict[str, float]:
         """By parameter, its error by the increments of a history, over its standard error; {} without increments."""
         return moved_by_finer_steps(self, self.model, self.groups) if self.success else {}
-
-    @property
-    def tip_misfits(self) -> dict[str, TipMisfit]:
-        """By table of a body in space that bends in one plane, how far its tip is off in this plane and across it."""
-        return tip_misfits(self, self.groups)
 
     @cached_property
     def rivals(self) -> list[Rival]:

@@ -32,7 +32,6 @@ class Constancy(NamedTuple):
     slope: float  # 1/N
     standard_error: float
     p_value: float  # two-sided
-    degrees_of_freedom: int
 
     def __str__(self) -> str:
         if not np.isfinite(self.p_value):
@@ -54,8 +53,7 @@ class ModelFreeFriction:
     estimate: np.ndarray  # NaN where a tension or the angle is 0
     value: float  # pooled
     standard_error: float  # inf where one row alone determines the value, so that the noise cannot be estimated
-    degrees_of_freedom: int  # of the standard error: rows, or trials, less one
-    confidence_interval: tuple[float, float]  # 95 %, t-statistics
+    confidence_interval: tuple[float, float]  # 95 %, t-statistics; of rows, or trials, less one
     constancy: Constancy
 
     @property
@@ -76,7 +74,7 @@ class ModelFreeFriction:
         return "\n".join(self.verdict)
 
 
-def model_free_friction(table: Measurements, *, in_order: bool | None = None) -> ModelFreeFriction:
+def model_free_friction(table: Measurements) -> ModelFreeFriction:
     """The friction coefficient of every row and of all rows, mu = ln(T_base / T_tip) / theta_tip.
 
     It uses the tensions of the first tendon. The pooled value is the mean of the rows, weighted by the square of their
@@ -88,12 +86,11 @@ def model_free_friction(table: Measurements, *, in_order: bool | None = None) ->
     rows. An error that all rows share - the gain of a cell, the zero of the camera - is not in the standard error. An
     error that the rows of a trial share is included, where `trial` names three trials or more.
 
-    Where rows have a history, only those are used in which the whole tendon slides in: those at the largest base
-    tension so far.
+    Where rows have a history, as a column `step` or `time` says, only those are used in which the whole tendon slides
+    in: those at the largest base tension so far.
 
     Args:
         table: with `base_tension`, `tip_tension` and `tip_angle`.
-        in_order: whether the rows have a history. None: yes if a column `step` or `time` gives their order.
 
     Raises:
         InputError: for missing columns, several tendons without `direction`, or a table without any bent row.
@@ -111,12 +108,11 @@ def model_free_friction(table: Measurements, *, in_order: bool | None = None) ->
         raise InputError(f"{table.name}: several tendons and no column 'direction'; {remedy}")
     base, tip, angle = table["base_tension"], table["tip_tension"], np.abs(table["tip_angle"])
     usable = (base > 0) & (tip > 0) & (angle > SMALLEST_ANGLE)
-    in_order = table.ordered if in_order is None else in_order
-    usable = usable & _pulled(table) if in_order else usable
+    usable = usable & _pulled(table) if table.ordered else usable
     if not np.any(usable):
         remedy = "measure at tensions that bend the body"
         raise InputError(f"{table.name}: no row has tensions and a tip angle other than 0; {remedy}")
-    direction = table["direction"][usable] if "direction" in table and not in_order else 1.0
+    direction = table["direction"][usable] if "direction" in table and not table.ordered else 1.0
     base, tip, angle = base[usable], tip[usable], angle[usable]
     loss, labels = direction * np.log(base / tip), independent_labels(table, usable)
     value = float(np.sum(angle * loss) / np.sum(angle**2))
@@ -131,7 +127,6 @@ def model_free_friction(table: Measurements, *, in_order: bool | None = None) ->
         estimate=estimate,
         value=value,
         standard_error=error,
-        degrees_of_freedom=freedom,
         confidence_interval=(value - half_width, value + half_width),
         constancy=_constancy(base, angle, residual, labels),
     )
@@ -149,13 +144,13 @@ def _constancy(base: np.ndarray, angle: np.ndarray, residual: np.ndarray, labels
     """The slope b of mu = a + b T_base, from the residuals of the pooled value, with its test."""
     freedom = int(min(base.size - 2, labels.max()))
     if freedom <= 0 or np.ptp(base) <= ONE_LEVEL * base.max():
-        return Constancy(np.nan, np.nan, np.nan, freedom)
+        return Constancy(np.nan, np.nan, np.nan)
     regressor = angle * (base - np.average(base, weights=angle**2))
     slope = float(np.sum(regressor * residual) / np.sum(regressor**2))
     columns = np.stack([angle, regressor], axis=1)
     error = float(np.sqrt(jackknife(columns, residual - slope * regressor, labels)[1, 1]))
     t = slope / error if 0 < error < np.inf else np.nan
-    return Constancy(slope, error, float(2 * stdtr(freedom, -abs(t))), freedom)
+    return Constancy(slope, error, float(2 * stdtr(freedom, -abs(t))))
 
 
 def jackknife(columns: np.ndarray, residual: np.ndarray, labels: np.ndarray) -> np.ndarray:

@@ -21,8 +21,6 @@ from ..numerics.given_numbers import check_numbers
 from .bench import Bench, BenchModel, Group
 from .parameters import TRIALS
 
-FLAT = 0.1  # scatter of places across a plane over the smaller one within it, below which they count as in a plane
-TIP = ("tip_x", "tip_y", "tip_z")
 SPANNED = 1e-9  # of the largest tension or force: rows as close to the range of the data count as inside
 
 Numbers = ArrayLike | Sequence[float] | Sequence[Sequence[float]]
@@ -141,35 +139,3 @@ def over_noise(fit: LeastSquaresFit, numbers: Mapping[str, np.ndarray]) -> np.nd
     noise = zip(problem.groups, problem.data.noise, strict=True)
     own = [np.ravel(numbers[label] / s) if label in numbers else np.zeros(np.size(s)) for label, s in noise]
     return np.asarray(problem.shared.whitened(np.concatenate(own)))
-
-
-class TipMisfit(NamedTuple):
-    """Root mean squares of the distance between read and predicted places of the tip, m."""
-
-    in_plane: float  # in the plane in which the body bends
-    across: float  # at right angles to it
-
-
-def tip_misfits(fit: LeastSquaresFit, groups: Sequence[Group]) -> dict[str, TipMisfit]:
-    """By table of a body in space whose tip bends in one plane, how far its places are off in this plane and across it.
-
-    The plane is the one nearest to all predicted places.
-    """
-    found = {}
-    for name in dict.fromkeys(group.name for group in groups):
-        own = {group.column: group for group in groups if group.name == name}
-        if not {*TIP} <= {*own}:
-            continue
-        every = np.all([own[column].there for column in TIP], axis=0)
-        off, read = (
-            np.stack([of[own[column].label][every[own[column].there]] for column in TIP], axis=1)
-            for of in (fit.residuals, {group.label: group.observed for group in own.values()})
-        )
-        place = read - off
-        if not np.all(np.isfinite(place)):
-            continue
-        _, sizes, axes = np.linalg.svd(place - place.mean(axis=0), full_matrices=False)
-        if len(place) > 3 and sizes[2] < FLAT * sizes[1]:
-            across = np.mean((off @ axes[2]) ** 2)
-            found[name] = TipMisfit(float(np.sqrt(np.mean(np.sum(off**2, axis=1)) - across)), float(np.sqrt(across)))
-    return found

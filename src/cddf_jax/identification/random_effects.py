@@ -196,11 +196,11 @@ def errors_of_base(model: BenchModel, tables: Sequence[Measurements], noise: Map
                 label = f"{levels.name}: {column}"
                 sigma[label], largest[label], uncertain[label] = stated, most, number
         found += [partial(levels.slopes, uncertain, model)] * bool(uncertain)
-    return InputErrors(partial(_all_slopes, found), sigma, largest)
 
+    def slopes(at: Parameters) -> Slopes:
+        return {label: own for of_table in found for label, own in of_table(at).items()}
 
-def _all_slopes(found: Sequence[Callable[[Parameters], Slopes]], at: Parameters) -> Slopes:
-    return {label: slopes for of_table in found for label, slopes in of_table(at).items()}
+    return InputErrors(slopes, sigma, largest)
 
 
 def many_levels(model: BenchModel, tables: Sequence[Measurements], noise: Mapping[str, object]) -> list[str]:

@@ -59,18 +59,6 @@ class Rival(NamedTuple):
         return ""
 
 
-def alike_in_words(rivals: Sequence[Rival]) -> list[str]:
-    """That several rivals explain the loops about as well; [] where at most one explains them."""
-    best = max((rival.gain for rival in rivals), default=0.0)
-    alike = [rival.name for rival in rivals if rival.gain > max(CLEAR, best - CLEAR)]
-    if len(alike) < 2:
-        return []
-    return [
-        f"loops by displacement: {', '.join(alike)} explain them about equally well, and these data do not tell which "
-        "it is; a load cell at the tip would, and loops of other amplitudes and speeds tell some apart (cddf plan)"
-    ]
-
-
 def rivals_of(
     fit: LeastSquaresFit, tables: Sequence[Measurements], model: BenchModel, options: Mapping[str, Any]
 ) -> list[Rival]:

@@ -12,7 +12,7 @@ from ..estimation.remarks import EXACT, chance_of_more
 from ..measurements.columns import is_reading
 from ..measurements.holds import correlation_of_rows, holds_of
 from ..measurements.jitter import Steady
-from ..measurements.left_out import CONTRADICTED, as_leave_out, named_rows, rows_in_words, sources
+from ..measurements.left_out import CONTRADICTED, named_rows, rows_in_words
 from ..measurements.readings import kind_of_set, of_shape, set_by, tendon_number
 from ..measurements.table import Measurements
 from ..measurements.table_warnings import warnings_of
@@ -26,20 +26,11 @@ from .parameters import TRIALS, Parameters, parameter_named, unit_of
 from .random_effects import many_levels
 from .tension_before import is_past
 
-LARGEST_FRICTION = 2.0  # a larger coefficient gives a warning
 CHANCE = 1e-3  # p-value below which residuals drift, or differ from trial to trial
 LARGEST_MOVE = 0.5  # standard errors; a larger error by increments gives a warning
 MOST_ALIKE = 0.999  # a correlation of neighbours that is counted; at 1 nothing would be known
 AGAINST = "tendons travel against the direction that was found for them"
 MOST = 0.5  # of a table's rows; with more rows without a solution the fit fails
-NEWTONS = {"youngs_modulus", "stiffness_factor", "outside_compliance", "tendon_stretch"}  # displacements tell no forces
-SEPARATE = {  # of a bench driven by displacement: measurements, and the parameters that each tells from others
-    "a load cell at the tip": {*NEWTONS, "friction_coefficient", "friction_moment", "outside_drag", "backlash"},
-    "a known weight at the tip": NEWTONS,
-    "a marker in the middle": {"friction_coefficient"},
-    "a loop of another amplitude": {"backlash", "slack_offset"},
-    "a loop of another speed": {"lag"},
-}
 # statuses of rows without a solution
 OUTSIDE = Status.unphysical, Status.locked, Status.not_converged, Status.load_limit, Status.crossing, Status.unstable
 
@@ -88,14 +79,13 @@ def doubt(ends: Sequence[SolveResults]) -> str:
     rows = named_rows(tables, [solves.contradicted for solves in ends])
     if not rows:
         return ""
-    alone = len({file for own in sources(tables) for file in own}) == 1
     found, count = sum(map(len, rows.values())), sum(np.count_nonzero(solves.read) for solves in ends)
     return (
         f"{AGAINST} in {found} of {count} rows: "
         f"{rows_in_words(rows)}; parts of them stick there. Follow the rows with history, "
-        "in the order in which they were pulled or each from rest (--each-from-rest). Or leave them out: "
-        f"{as_leave_out(rows, alone=alone)}, or --leave-out {CONTRADICTED} to repeat the fit until no row is "
-        "contradicted (leave_out in Python). Or state the directions in columns direction and direction_2"
+        "in the order in which they were pulled or each from rest (--each-from-rest). Or leave them out "
+        f"(leave_out, --leave-out; {CONTRADICTED!r} repeats the fit until no row is contradicted). "
+        "Or state the directions in columns direction and direction_2"
     )
 
 
@@ -104,18 +94,14 @@ def warnings_of_rows(
 ) -> Iterator[str]:
     """Warnings about the tables, and about what was taken for granted or ignored in them."""
     for table, one in zip(tables, model.experiments, strict=True):
-        from_rest = one.course is None or one.course.past is None
-        yield from (f"{table.name}: {own}" for own in warnings_of(table, in_order=one.in_order, from_rest=from_rest))
+        yield from (f"{table.name}: {own}" for own in warnings_of(table, in_order=one.in_order))
     for name, table, one in benches_of(tables, model):
         if one.in_order is None and len(table) > 1:
             yield f"{name}: each row was followed from rest, with all that was set in proportion"
         slack = {*range(1, model.manipulator.num_tendons + 1)} - {*map(tendon_number, set_by(table.columns))}
         if slack:
             yield f"{name}: no column for tendon {', '.join(map(str, sorted(slack)))}: taken as slack"
-        for column, _, rows in table.set_columns:
-            if kind_of_set(column) == "displacement" and not np.all(rows):
-                first, count = table.place(int(np.argmax(rows))), np.count_nonzero(rows)
-                yield f"{name}: {column} sets its tendon in {count} of {len(table)} rows without base tension ({first})"
+        for column, _, _ in table.set_columns:
             if (steady := without_jitter.get(f"{name}: {column}")) and steady.num_ignored:
                 noise, least = (shown(x, dimension_of(kind_of_set(column))) for x in (steady.noise, steady.least_turn))
                 yield (
@@ -141,18 +127,12 @@ def warnings_of_inputs(
         )
 
 
-def warnings_of_numbers(fit: LeastSquaresFit, moved: Mapping[str, float]) -> Iterator[str]:
-    """A friction that no real body has, and estimates that the increments of a history have `moved` too far."""
+def warnings_of_increments(moved: Mapping[str, float]) -> Iterator[str]:
+    """Estimates that the increments of a history have `moved` too far."""
     for name, part in moved.items():
         if not part <= LARGEST_MOVE:
             what = f"the increments of the history move {name} by {part:.2g} of its standard error"
             yield f"{what}; give more short_steps"
-    mu = fit.value.get("friction_coefficient", 0.0)
-    if mu > LARGEST_FRICTION and fit.status["friction_coefficient"] == IDENTIFIED:
-        yield (
-            f"friction_coefficient = {mu:.3g} is far above that of any tendon; check the units of the tables, "
-            "for instance radians in a column of degrees"
-        )
 
 
 def warnings_of_kinematics(tables: Sequence[Measurements], manipulator: Manipulator) -> Iterator[str]:
@@ -322,10 +302,8 @@ def _hold_shape(tables: Sequence[Measurements]) -> bool:
 
 def advice_on(fit: LeastSquaresFit, tables: Sequence[Measurements], lost: set[str]) -> str:
     """What measurement would separate the parameters that these data do not separate."""
-    unknown, stems = f"The data do not determine {', '.join(sorted(lost))}", {parameter_named(n).name for n in lost}
+    unknown = f"The data do not determine {', '.join(sorted(lost))}"
     stiffness = "stiffness_factor" if "stiffness_factor" in fit.status else "youngs_modulus"
-    driven = any(map(is_driven_by_length, tables))
-    separate = [what for what, tells in SEPARATE.items() if driven and stems & tells]
     if pasts := sorted(filter(is_past, lost)):
         return (
             f"The data do not determine {', '.join(pasts)}: a tension before the first row has an effect only if the "
@@ -336,10 +314,11 @@ def advice_on(fit: LeastSquaresFit, tables: Sequence[Measurements], lost: set[st
             f"{unknown}. Some have the same effect: only the sums and differences above are determined. Fix one "
             "parameter of each, or give it a prior."
         )
-    if separate:
+    if any(map(is_driven_by_length, tables)):
         return (
-            f"{unknown}. What would separate them: {', '.join(separate)}; cddf plan says by how much. Or give a value "
-            "that is measured in another way, or a prior."
+            f"{unknown}. cddf plan says by how much other measurements would help: a load cell at the tip, a known "
+            "weight there, a marker in the middle, loops of other amplitudes and speeds. Or give a value that is "
+            "measured in another way, or a prior."
         )
     if _hold_shape(tables):
         pulley = " (friction: a pulley test)" if "friction_coefficient" in lost else ""

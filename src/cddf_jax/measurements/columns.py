@@ -1,11 +1,11 @@
 """The columns of a table of measurements: their names, other spellings of them, and what they measure."""
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from difflib import get_close_matches
 
 from ..errors import InputError
-from ..files.table_header import short
+from ..files.table_header import Heading, short
 from ..quantities import QUANTITIES
 from ..units import Dimension
 from .forces import column_of_force, force_column
@@ -22,15 +22,8 @@ PER_TENDON = ("base_tension", "direction", *(name for name, kind in NAMED.items(
 # other spellings, in small letters and without what separates words
 _SPELLINGS = {
     "tbase": "base_tension",
-    "tensionbase": "base_tension",
     "tendondisplacement": "displacement",
     "ttip": "tip_tension",
-    "tensiontip": "tip_tension",
-    "angletip": "tip_angle",
-    "trialid": "trial",
-    **{f"{axis}tip": f"tip_{axis}" for axis in "xyz"},
-    **{f"ftip{axis}": f"tip_force_{axis}" for axis in "xyz"},
-    **{f"{name}{end}": name for name in ("trial", "step") for end in ("no", "nr", "number")},
     **{name.replace("_", ""): name for name in COLUMNS},
 }
 _LIKENESS = 0.85  # of a name to a known one, above which it counts as misspelt
@@ -74,6 +67,21 @@ def _parts(name: str) -> tuple[str, str]:
     stem = key.rstrip("0123456789")
     number = key[len(stem) :]
     return stem, number.lstrip("0") or number[:1]
+
+
+def option(head: str, meant: str) -> str:
+    """The option of the command line that says what a column is."""
+    return f'--column "{head}={meant}"'
+
+
+def how_to_say(wanted: str, unused: Sequence[Heading]) -> str:
+    """How to say which of the columns that a file has besides is the one that is `wanted`, "base_tension [N]"."""
+    heads = ", ".join(dict.fromkeys(short(one.text) for one in unused))
+    return (
+        f"add it, or say which one it is by {option('NAME', wanted)}, where NAME is one of {heads}"
+        if heads
+        else "add it"
+    )
 
 
 def column_dimension(column: str) -> Dimension | None:

@@ -49,11 +49,6 @@ def rows_in_words(rows: LeftOut) -> str:
     return " and ".join(f"row{'s' * (len(own) > 1)} {_ranges(own)} of {file}" for file, own in rows.items())
 
 
-def as_leave_out(rows: LeftOut, *, alone: bool) -> str:
-    """The options of the command line that leave these rows out; `alone`: there is only one file."""
-    return " ".join(f'--leave-out "{"" if alone else file + "="}{_ranges(own)}"' for file, own in rows.items())
-
-
 def _ranges(numbers: Sequence[int]) -> str:
     """ "8, 14, 20-23"."""
     parts = []

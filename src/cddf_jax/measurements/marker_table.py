@@ -29,7 +29,7 @@ from ..errors import InputError, within
 from ..files.csv_table import Table, columns_in, read_table
 from ..files.table_header import Kind, name_and_unit
 from ..units import Dimension, shown
-from .column_guesses import advice, guess_markers, hint
+from .columns import how_to_say
 from .markers import Marker
 
 _AXES, _OFFSETS = ("x", "y", "z"), ("offset_x", "offset_y", "offset_z")
@@ -72,12 +72,12 @@ def read_marker_table(path: str | os.PathLike[str], columns: Mapping[str, str], 
     """
     found = read_table(path, _KIND, columns)
     with within(path):
-        guesses = guess_markers(found.unused, found.columns)
-        missing = "the columns x and y are missing; add them"
         if "row" not in found.columns:
             missing = "the column row is missing; add it: 1 for the first row of the measurements, 2, ..."
-        if "row" not in found.columns or not any(axis in found.columns for axis in _AXES):
-            raise InputError(missing, where=f"row {found.header}", remedy=advice(found.unused, guesses))
+            raise InputError(missing, where=f"row {found.header}")
+        if not any(axis in found.columns for axis in _AXES):
+            remedy = how_to_say("x [mm]", found.unused)
+            raise InputError("the column x or y is missing", where=f"row {found.header}", remedy=remedy)
         names = ["".join(str(label).split()) for label in found.columns["marker"]]
         at = _rows(found, num_rows)
         for (row, name), count in Counter(zip(at.tolist(), names, strict=True)).items():
@@ -91,7 +91,7 @@ def read_marker_table(path: str | os.PathLike[str], columns: Mapping[str, str], 
                 read[f"{axis}@{name}"][at[own]] = found.columns[axis][own]
         places = dict(_places(found, names))
     file = Path(path).name
-    said = [f"{file}: {line}" for line in (*found.read_as, *hint(guesses))]
+    said = [f"{file}: {line}" for line in found.read_as]
     said.append(f"markers of {file}: {', '.join(dict.fromkeys(names))}, in {len(set(at.tolist()))} of {num_rows} rows")
     return MarkerTable(read, places, tuple(said), found.described)
 

@@ -17,15 +17,15 @@ def order_of(columns: Mapping[str, np.ndarray]) -> np.ndarray:
     return np.lexsort(keys) if keys else np.arange(len(next(iter(columns.values()))))
 
 
-def check_order(columns: Mapping[str, np.ndarray], rows: ArrayLike) -> list[str]:
-    """What the columns `step` and `time` say of the order, in words, where it is not plain.
+def check_order(columns: Mapping[str, np.ndarray], rows: ArrayLike) -> None:
+    """Refuse columns `step` and `time` that do not tell the order.
 
     Args:
         columns: by name; `step`, `time` and `trial` are looked at.
         rows: the number of each row, for messages.
 
     Raises:
-        InputError: names row, column and remedy, where the order is not known: a step that comes again after another
+        InputError: names row, column and remedy: a step that comes again after another
             one; a time that goes back without a `step`; a `step` that contradicts both file and time.
     """
     row = np.asarray(rows)
@@ -34,20 +34,17 @@ def check_order(columns: Mapping[str, np.ndarray], rows: ArrayLike) -> list[str]
     if "step" in columns:
         _check_steps(columns["step"][in_file], trial[in_file], row[in_file])
     time, own = columns.get("time", np.zeros(row.size))[order], trial[order]
-    sorted_by_step = bool(np.any(order != in_file))
-    said = ["the rows are taken in the order of step, not in that of the file"] if sorted_by_step else []
     back = np.flatnonzero((np.diff(time) < 0) & (own[1:] == own[:-1]))
     if not back.size:
-        return said
+        return
     before, i = back[0], back[0] + 1
     went = f"goes back from {time[before]:.9g} s in row {row[order][before]} to {time[i]:.9g} s"
     where = f"row {row[order][i]}, column time"
     if "step" not in columns:
         remedy = f"{_BY_TRIAL}, times that do not start again (with the date), or the order by a column step"
         raise InputError(f"{where}: {went}; {remedy}")
-    if sorted_by_step:
+    if np.any(order != in_file):
         raise InputError(f"{where}: {went} in the order of step, not of the file; correct one, or leave time out")
-    return [f"time {went} (row {row[order][i]}); the rows are taken in the order of step"]
 
 
 def _check_steps(step: np.ndarray, trial: np.ndarray, row: np.ndarray) -> None:

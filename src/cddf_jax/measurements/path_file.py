@@ -1,7 +1,6 @@
 """A path in a file: the tensions, displacements or angles that a bench went through, in their order in time."""
 
 import os
-import re
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -9,15 +8,13 @@ import numpy as np
 
 from ..errors import InputError, within
 from ..files.csv_table import Table, read_table
-from ..files.table_header import Kind
 from ..quantities import dimension_of
 from ..units import Dimension, written
-from .column_guesses import advice
-from .columns import column_dimension, column_meant, may_be_read
-from .order import ORDER, check_order, order_of
+from .columns import how_to_say
+from .order import check_order, order_of
+from .table import KIND
 
-DRIVEN = ("base_tension", "tendon_displacement", "tip_angle")  # the first that the file has is the path
-_COLUMNS = (*DRIVEN, *ORDER, "trial")
+DRIVEN = ("base_tension", "displacement", "tip_angle")  # the first that the file has is the path
 
 
 class PathFile(NamedTuple):
@@ -30,7 +27,7 @@ class PathFile(NamedTuple):
 
 
 def read_path_file(path: str | os.PathLike[str], columns: Mapping[str, str] | None = None) -> PathFile:
-    """The column `base_tension` of a file with the unit in its header, or else `tendon_displacement` or `tip_angle`.
+    """The column `base_tension` of a file with the unit in its header, or else `displacement` or `tip_angle`.
 
     The order is that of the column `step`, or without it that of the rows, in which a column `time` may not go back.
 
@@ -41,12 +38,12 @@ def read_path_file(path: str | os.PathLike[str], columns: Mapping[str, str] | No
     Raises:
         InputError: names the file, row (line), column, value and remedy; also for several trials.
     """
-    table = read_table(path, _KIND, columns)
+    table = read_table(path, KIND, columns)
     with within(path):
         named = [name for name in DRIVEN if name in table.columns]
         if not named:
-            what = f"has no column with a path; name one {', or '.join(DRIVEN)}, with its unit"
-            raise InputError(what, where=f"row {table.header}", remedy=advice(table.unused, {}, DRIVEN[:1]))
+            what = f"has no column with a path ({' or '.join(DRIVEN)}, with its unit)"
+            raise InputError(what, where=f"row {table.header}", remedy=how_to_say("base_tension [N]", table.unused))
         driven, *others = named
         trials = list(dict.fromkeys(table.columns.get("trial", np.zeros(0)).tolist()))
         if len(trials) > 1:
@@ -54,8 +51,8 @@ def read_path_file(path: str | os.PathLike[str], columns: Mapping[str, str] | No
                 f"holds {len(trials)} trials, but a path is one trial; keep the rows of one, such as {trials[0]}"
             )
         _check(table, driven)
-        said = check_order(table.columns, table.rows)
-        said += [f"the path is {driven}; not used: {', '.join(others)}"] if others else []
+        check_order(table.columns, table.rows)
+    said = [f"the path is {driven}; not used: {', '.join(others)}"] if others else []
     values = table.columns[driven][order_of(table.columns)]
     return PathFile(values.tolist(), dimension_of(driven), (*table.read_as, *said), table.described)
 
@@ -66,20 +63,6 @@ def _check(table: Table, driven: str) -> None:
     bad = np.flatnonzero(~np.isfinite(values) | (is_tension & (values < 0)))
     if bad.size:
         got = float(values[bad[0]])
-        rule = f"must be 0 or more, got {written(got, 'force')}" if is_tension else f"must be finite, got {got:g}"
+        negative = np.isfinite(got)
+        rule = f"must be 0 or more, got {written(got, 'force')}" if negative else f"must be finite, got {got:g}"
         raise InputError(f"row {table.rows[bad[0]]}, column {driven}: {rule}; correct or remove the row")
-
-
-def _dimension_of(column: str) -> Dimension | None:
-    if column not in _COLUMNS:
-        raise InputError(f"unknown column {column}; known are {', '.join(_COLUMNS)}")
-    return dimension_of(column) if column in DRIVEN else column_dimension(column)
-
-
-def _meant(name: str) -> str | None:
-    displacement = re.sub(r"[\s_-]+", "_", name.strip().lower()) == DRIVEN[1]
-    column = DRIVEN[1] if displacement else column_meant(name)
-    return column if column in _COLUMNS else None
-
-
-_KIND = Kind(_meant, _dimension_of, "steps", "base_tension [N]", labels=("trial",), gaps=may_be_read)

@@ -33,7 +33,7 @@ Files of instruments and spreadsheets are read too; `Measurements.read_as` says 
 
 - Names in capitals or with spaces, `T_base` and `T_tip`; units in parentheses, behind the name or at most three rows
   below the header: `Base Tension (N)`, `Tbase_N`. Say what any other column is by `columns` or `--column`.
-- Other columns are not used. A name that resembles a known one is refused. Messages guess what unknown columns are.
+- Other columns are not used. A name that resembles a known one is refused.
 - Text above the header, such as that of LabVIEW or a table of channels, is taken as notes.
 - A cell of an instrument without a number (empty, nan, n/a, -): that reading is left out, and the others of its row
   stay. What was set (tensions at the base, or else displacements, forces, directions) must be there.
@@ -56,11 +56,10 @@ from numpy.typing import ArrayLike
 
 from ..errors import InputError, in_utf8, within
 from ..files.csv_table import Table, read_table
-from ..files.table_header import Kind, short
+from ..files.table_header import Heading, Kind, short
 from ..files.times import seconds_of
 from ..numerics.given_numbers import check_numbers
-from ..units import written
-from .column_guesses import advice, guess_measurements, hint, option
+from ..units import preferred, written
 from .columns import (
     DIRECTIONS,
     PER_TENDON,
@@ -68,8 +67,10 @@ from .columns import (
     column_dimension,
     column_meant,
     column_resembled,
+    how_to_say,
     is_reading,
     may_be_read,
+    option,
 )
 from .marker_table import NO_MARKERS, of_markers, read_marker_table
 from .markers import Marker
@@ -251,18 +252,18 @@ def read_file(
     """The measurements in a file and its table of markers in another, and which of `columns` these have."""
     theirs = {} if markers is None else of_markers(columns)
     own = {name: meant for name, meant in columns.items() if name not in theirs or not meant.strip()}
-    found = read_table(path, _KIND, own)
+    found = read_table(path, KIND, own)
     more = NO_MARKERS if markers is None else read_marker_table(markers, theirs, len(found.rows))
     with within(path):
         if twice := [column for column in more.columns if column in found.columns]:
             raise InputError(f"the column {twice[0]} is in {markers} as well; leave one out")
-        said = (*found.read_as, *_check_heads(found), *more.read_as)
-        every = found.columns | more.columns
+        _check_heads(found)
+        said, every = (*found.read_as, *more.read_as), found.columns | more.columns
         table = _table(in_utf8(Path(path).name), every, notes=found.notes, rows=found.rows, read_as=said)
     return replace(table, markers=more.places), found.described | more.described
 
 
-_KIND = Kind(
+KIND = Kind(
     column_meant,
     column_dimension,
     "measurements",
@@ -304,7 +305,8 @@ def _table(
     if labels:
         arrays["trial"] = np.array([codes[label] for label in labels], float)
     simulated = any("simulated" in text.lower() for text in (name, *notes))
-    lines = tuple(f"{name}: {line}" for line in (*read_as, *left_out, *check_order(arrays, at[kept])))
+    check_order(arrays, at[kept])
+    lines = tuple(f"{name}: {line}" for line in (*read_as, *left_out))
     return Measurements(
         *(name, arrays, at[kept], tuple(codes), notes, simulated),
         read_as=lines,
@@ -345,45 +347,36 @@ def _array(column: str, values: ArrayLike) -> np.ndarray:
     return array
 
 
-def _check_heads(found: Table) -> list[str]:
-    """Refuse a file that lacks a column, or has a misspelt one; else hints on further readings."""
-    unused, where = found.unused, f"row {found.header}"
-    for one in unused:
+def _check_heads(found: Table) -> None:
+    """Refuse a file that lacks a column, or has a misspelt one."""
+    for one in found.unused:
         if meant := column_resembled(one.name):
             what = f"unknown column {short(one.name)}; did you mean {meant}?"
             ways = f"say so by {option(one.name, meant)}, or leave it out by {option(one.name, '')}"
-            raise InputError(f"{what} Rename it, or {ways}", where=where)
-    guesses = guess_measurements(unused, found.columns)
-    if unused and (missing := _missing(found.columns)):
-        what = f"the column {' and '.join(missing)} is missing; say what the columns are, or add it"
-        guessed = {meant.partition(" ")[0] for meant in guesses.values()}
-        remedy = advice(unused, guesses, _missing(guessed.union(found.columns)))
-        raise InputError(what, where=where, remedy=remedy)
-    return hint({head: meant for head, meant in guesses.items() if may_be_read(meant.partition(" ")[0])})
+            raise InputError(f"{what} Rename it, or {ways}", where=f"row {found.header}")
+    with within(f"row {found.header}"):
+        _check_columns(found.columns, found.unused)
 
 
-def _missing(columns: Iterable[str]) -> list[str]:
-    """The columns that a table with these columns needs and does not have; a displacement does for a base tension."""
-    names = set(columns)
-    pulled = {column.replace("displacement", "base_tension") for column in names if kind_of(column) == "displacement"}
-    names |= pulled
-    tendons = {column: kind for column in names if (kind := kind_of(column)) in PER_TENDON}
-    needed = (set() if pulled else {"base_tension"}) | {
-        column.replace(kind, "base_tension") for column, kind in tendons.items()
-    }
-    return sorted((set(PULLEY) if names & set(PULLEY) else needed) - names)
-
-
-def _check_columns(columns: Iterable[str]) -> None:
-    """Refuse unknown columns, and columns whose base tension is missing."""
+def _check_columns(columns: Iterable[str], unused: Sequence[Heading] = ()) -> None:
+    """Refuse unknown columns, and columns whose base tension is missing; a displacement does in place of it."""
     names = set(columns)
     for column in columns:
         column_dimension(column)
     others = sorted(names - {*PULLEY, "trial", *ORDER})
     if names & set(PULLEY) and others:
         raise InputError(f"the column {others[0]} does not belong to a pulley test; put it into a table of its own")
-    if missing := _missing(names):
-        raise InputError(f"the column {missing[0]} is missing; add it (a pulley test has {', '.join(PULLEY)})")
+    pulled = {column.replace("displacement", "base_tension") for column in names if kind_of(column) == "displacement"}
+    names |= pulled
+    tendons = {column: kind for column in names if (kind := kind_of(column)) in PER_TENDON}
+    needed = (set() if pulled else {"base_tension"}) | {
+        column.replace(kind, "base_tension") for column, kind in tendons.items()
+    }
+    if missing := sorted((set(PULLEY) if names & set(PULLEY) else needed) - names):
+        unit = preferred(column_dimension(missing[0]) or "dimensionless")[1]
+        every = f" (a pulley test has {', '.join(PULLEY)})" if names & set(PULLEY) else ""
+        remedy = how_to_say(f"{missing[0]} [{unit}]", unused) + every
+        raise InputError(f"the column {missing[0]} is missing", remedy=remedy)
 
 
 def _check_values(column: str, values: np.ndarray, rows: np.ndarray, table: Mapping[str, np.ndarray]) -> None:

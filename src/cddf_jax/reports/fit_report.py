@@ -22,7 +22,7 @@ from ..measurements.columns import column_dimension
 from ..measurements.table import Measurements
 from ..progress import each, stage
 from ..robot.manipulator import Manipulator
-from ..units import preferred, shown
+from ..units import preferred
 from .report import Content, Report, versions
 
 if TYPE_CHECKING:
@@ -32,8 +32,7 @@ if TYPE_CHECKING:
 # of results.json
 OF_FIT = (
     *("result", "success", "verdict", "warnings", "noise", "noise_model", "noise_estimated", "input_noise"),
-    *("neighbours", "tip_misfits"),
-    *("trial_effects", "trial_spread", "moved_by_steps", "reduced_chi_square"),
+    *("neighbours", "trial_effects", "trial_spread", "moved_by_steps", "reduced_chi_square"),
     *("degrees_of_freedom", "log_likelihood", "information_criteria", "restarted", "num_steps"),
 )
 OF_DETERMINATION = (
@@ -267,12 +266,7 @@ def _noise(fit: Fit) -> list[str]:
         rows.append([label, f"{scale * deviation:.3g} {unit}", kind])
     kind = "estimated from the residuals" if fit.noise_estimated else "as given"
     text = f"Noise {kind}; {fit.degrees_of_freedom} degrees of freedom; rank {fit.rank}; {fit.result}."
-    tips = [
-        f"{name}: the tip is off by {shown(one.in_plane, 'length')} in the plane of bending and by "
-        f"{shown(one.across, 'length')} across it (root mean squares)."
-        for name, one in fit.tip_misfits.items()
-    ]
-    return [*markdown_table(head, rows), "", text, *(["", *_bullets(tips)] if tips else [])]
+    return [*markdown_table(head, rows), "", text]
 
 
 def _figures(drawn: Sequence[str], missing: Mapping[str, str]) -> list[str]:
