@@ -55,6 +55,14 @@ def test_ctrl_c_gives_the_best_so_far(monkeypatch, looks):
     assert np.sum((decay(fit.value) - DATA) ** 2) / 0.01**2 == pytest.approx(min(seen))
 
 
+def test_an_interruption_before_the_first_step_is_raised():
+    def interrupted(_):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        least_squares_fit(interrupted, START, DATA, sigma=0.01)
+
+
 def test_progress_tells_the_misfit():
     """The misfit is the root mean square of the residuals over that of the data about their mean, by NumPy."""
     fit = least_squares_fit(decay, START, DATA, sigma=0.01)

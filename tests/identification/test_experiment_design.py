@@ -1,8 +1,10 @@
 """Which measurement next: expected errors against fits of simulated data, and the cases of docs/identifiability.md."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from bodies import paper_body
+from bodies import paper_body, three_tendon_tube
 from test_displacement import robot
 from test_fit import COMPLIANCE, MU, RATIO, E, closed_form, wrap
 
@@ -79,6 +81,27 @@ def test_a_tip_weight_hardly_helps():
     assert set(told.status.values()) == {"not identified"}
     assert 320 < told.condition_number < 470
     assert 5 < np.sqrt(told.covariance[0, 0]) / MU < 7
+
+
+@pytest.mark.slow
+def test_a_weight_on_the_body():
+    """The errors of ln mu and ln E from differences of `solve` with the weight as a point load."""
+    body, loads = paper_body("exact"), cddf.Loads(points=[cddf.PointLoad(0.06, (0.0, -1.0))])
+    hung = Candidate("hung", {"base_tension": LEVELS, "force_y@60mm": -1.0}, {"tip_angle": 0.01})
+    told = cddf.plan(body, [hung], num=1).ranking[0].expected
+
+    def angles(mu, modulus):
+        here = replace(body, friction_coefficient=mu, youngs_modulus=modulus)
+        return np.array([float(cddf.solve(here, pull, loads).tip_angle) for pull in LEVELS])
+
+    h = 1e-4
+    pairs = ((angles(MU * (1 + h), E), angles(MU * (1 - h), E)), (angles(MU, E * (1 + h)), angles(MU, E * (1 - h))))
+    slopes = np.stack([(more - less) / (2 * h) for more, less in pairs], axis=1)
+    errors = 0.01 * np.sqrt(np.diag(np.linalg.inv(slopes.T @ slopes)))
+    found = [told.standard_error["friction_coefficient"] / MU, told.standard_error["youngs_modulus"] / E]
+    np.testing.assert_allclose(found, errors, rtol=1e-3)
+    with pytest.raises(InputError, match="candidate 'hung': force @160mm: it must act above 0 and up to the tip at"):
+        cddf.plan(body, [replace(hung, conditions={"base_tension": LEVELS, "force_y@160mm": -1.0})])
 
 
 def test_the_ranking_and_the_choice(planned):
@@ -165,3 +188,22 @@ def test_what_separates_modulus_and_compliance_of_a_driven_bench():
     assert found.chosen[0].candidate.name == "loop with a load cell at the tip"
     plain, marked = (expected[name].standard_error for name in ("loop", "loop with a marker in the middle"))
     assert marked["friction_coefficient"] < plain["friction_coefficient"]
+
+
+@pytest.mark.slow
+def test_poses_one_after_another_are_planned_as_they_are_fitted():
+    """Three tendons in space; the expected errors are those of a fit to the same rows, simulated and without noise."""
+    body = three_tendon_tube()
+    candidate = cddf.standard_candidates(body, 12.0)[-1]
+    assert candidate.name == "tip positions, tendons pulled in turn"
+    first = cddf.plan(body, [candidate], num=1, nodes=12).ranking[0].expected
+    pulls = np.transpose([np.asarray(candidate.conditions[f"base_tension{end}"]) for end in ("", "_2", "_3")])
+    np.testing.assert_allclose(pulls[[0, 4]], [[12.0, 1.2, 1.2], [1.2, 6.0, 1.2]])
+    few = {"nodes": 8, "short_steps": 4, "throw": False}  # the elements and increments of a fit with 12 nodes
+    tips = cddf.trace(body, pulls, **few).tip_position
+    columns = {name: np.asarray(own) for name, own in candidate.conditions.items()}
+    columns |= {f"tip_{axis}": tips[:, i] for i, axis in enumerate("xyz")}
+    table = cddf.Measurements.from_columns("poses", ("simulated",), **columns)
+    fit = cddf.fit(body, table, noise=dict(candidate.noise) | {"base_tension": 0.0}, nodes=12)
+    for name, error in fit.standard_error.items():
+        assert first.standard_error[name] == pytest.approx(error, rel=1e-3)

@@ -406,3 +406,11 @@ def test_refusals(changes, message):
     arguments = {"manipulator": paper_body(), "data": bench()} | changes
     with pytest.raises(InputError, match=f"^{message}"):
         cddf.fit(**arguments)
+
+
+def test_a_friction_that_no_tendon_has_is_doubted():
+    """As of readings in wrong units: the tip tensions of the closed form with a friction coefficient of 2.5."""
+    table = bench(tip_tension=closed_form(LEVELS, mu=2.5))
+    found = cddf.fit(PAPER, table, ["friction_coefficient"], noise={"tip_tension": 0.01, "base_tension": 0.0})
+    assert found.value["friction_coefficient"] == pytest.approx(2.5, rel=1e-6)
+    assert any("friction_coefficient = 2.5 is far above that of any tendon" in warning for warning in found.warnings)

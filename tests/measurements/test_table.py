@@ -148,6 +148,8 @@ def test_from_columns_refuses(columns, message):
 
 # --- what deserves a look ------------------------------------------------------------------------
 
+TWO = {"base_tension": [9, 8], "base_tension_2": [10, 20]}
+
 
 @pytest.mark.parametrize(
     ("columns", "warning"),
@@ -162,6 +164,19 @@ def test_from_columns_refuses(columns, message):
         ({"base_tension": [10, 10, 10], "base_tension_2": [10, 75, 30]}, "base_tension_2 below that of the row before"),
         ({"base_tension": [10, 75.1, 75, 75.2, 10.1, 75.3]}, None),  # noise at a level, a fresh start at the lowest
         ({"base_tension": [10, 75, 30, 40], "trial": ["a", "a", "b", "b"]}, None),  # another trial
+        ({"base_tension": [0, 0.1, 20], "tip_tension": [0.05, 0.15, 19]}, None),  # noise about 0
+        ({"base_tension": [10, 20], "tip_tension": [9, 21.5]}, "(row 2: 21.5 N over 20 N); are the cells swapped"),
+        (TWO | {"tip_tension_2": [12, 19], "direction_2": [1, 1]}, "base_tension_2: 1 of 2 (row 1: 12 N over 10 N)"),
+        # sliding out the tip tension is the larger one, by the capstan law
+        (TWO | {"tip_tension_2": [12, 24], "direction_2": [-1, -1]}, None),
+        # of several tendons an unstated direction is found with the equilibrium, and may be either
+        (TWO | {"tip_tension_2": [12, 19]}, None),
+        ({"base_tension": [10, 20], "tip_tension": [13, 26], "direction": [-1, -1]}, None),  # sliding out
+        (
+            {"wrap_angle": [90, 180], "weight": [5, 5], "pulling_tension": [9, 18]},
+            "wrap_angle beyond 5 turn(s): 2 of 2 (row 1: 90 rad)",
+        ),
+        ({"wrap_angle": [np.pi / 2, 6 * np.pi], "weight": [5, 5], "pulling_tension": [9, 18]}, None),
         (
             {"base_tension": [0, 10, 20], "tip_tension": [-0.1, 9, -0.2], "tip_angle": [0, np.nan, 0.3]},
             "rows with tip_tension below 0: 2 of 3 (row 1: -0.1 N); has the zero of the cell drifted?",

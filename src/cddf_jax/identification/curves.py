@@ -1,10 +1,13 @@
 """The fitted model beside the rows of its tables, for drawing: curves with bands, and where there are none."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
+from ..measurements.table import Measurements
 from .bench import Bench, Group, Pulley
+from .course import course_of
 from .fit import Fit
 
 GRID = 100  # points of a curve
@@ -32,17 +35,39 @@ def model_curve(fit: Fit, group: Group) -> ModelCurve | None:
 
 
 def model_loops(fit: Fit, group: Group) -> list[ModelCurve]:
-    """The model in the rows of each trial, in their order; [] where no path turns, or more than one number was set."""
+    """The model along the path of each trial, in its order; [] where no path turns, or more than one number was set.
+
+    Where there is no exact answer, it is known in the rows only.
+    """
     bench, table = group.experiment, group.table
     course = bench.course if isinstance(bench, Bench) and not bench.on_one_curve else None
     if not isinstance(bench, Bench) or course is None or course.each_from_rest:
         return []
     if len(table.set_columns) > 1 or bench.forces is not None:
         return []
-    set_to = np.asarray(course.readings)[np.asarray(course.trial), np.asarray(course.step), 0]  # without jitter
-    shown = bench.evaluate(fit.model.manipulator, fit.parameters, fit.model.nodes)
-    numbers = set_to, shown.readings[group.column], fit.band(shown.derivatives[group.column])
-    return [ModelCurve(*(own[rows] for own in numbers)) for rows in table.trials]
+    column = table.set_columns[0].column
+    if course.short_steps is not None:
+        shown = bench.evaluate(fit.model.manipulator, fit.parameters, fit.model.nodes)
+        numbers = table[column], shown.readings[group.column], fit.band(shown.derivatives[group.column])
+        return [ModelCurve(*(own[rows] for own in numbers)) for rows in table.trials]
+    parts: list[np.ndarray] = []  # the path of each trial, N or m, and the times
+    for k, readings in enumerate(np.asarray(course.readings)[..., 0]):
+        steps = np.arange(np.max(np.asarray(course.step)[np.asarray(course.trial) == k]) + 1)
+        places = np.union1d(np.linspace(0, steps[-1], GRID), steps)
+        own = [readings] if course.time is None else [readings, np.asarray(course.time)[k]]
+        parts.append(np.stack([np.interp(places, steps, numbers[: steps.size]) for numbers in own]))
+    path, *time = np.concatenate(parts, axis=1)
+    trial = np.repeat(np.arange(len(parts)), [part.shape[1] for part in parts])
+    columns = {column: path, "trial": trial} | dict(zip(["time"], time, strict=False))
+    table = Measurements("curve", columns, np.arange(path.size))
+    dense, _ = course_of(table, {column: 0.0}, course.past, timed=course.time is not None)
+    own = None if bench.trial is None else np.asarray(bench.trial)[np.asarray(course.first_row)][trial]
+    dense = replace(dense, number=course.number)
+    rows = Bench(path[:, None], (None,), trial=own, course=dense, setting=bench.setting)
+    shown = rows.evaluate(fit.model.manipulator, fit.parameters, fit.model.nodes)
+    value, band = shown.readings[group.column], fit.band(shown.derivatives[group.column])
+    ends = np.flatnonzero(np.diff(trial)) + 1
+    return [ModelCurve(*own) for own in zip(*(np.split(one, ends) for one in (path, value, band)), strict=True)]
 
 
 def half_width(fit: Fit, group: Group) -> np.ndarray:

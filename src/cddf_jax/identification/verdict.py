@@ -26,6 +26,7 @@ from .parameters import TRIALS, Parameters, parameter_named, unit_of
 from .random_effects import many_levels
 from .tension_before import is_past
 
+LARGEST_FRICTION = 2.0  # a larger coefficient gives a warning
 CHANCE = 1e-3  # p-value below which residuals drift, or differ from trial to trial
 LARGEST_MOVE = 0.5  # standard errors; a larger error by increments gives a warning
 MOST_ALIKE = 0.999  # a correlation of neighbours that is counted; at 1 nothing would be known
@@ -94,7 +95,8 @@ def warnings_of_rows(
 ) -> Iterator[str]:
     """Warnings about the tables, and about what was taken for granted or ignored in them."""
     for table, one in zip(tables, model.experiments, strict=True):
-        yield from (f"{table.name}: {own}" for own in warnings_of(table, in_order=one.in_order))
+        from_rest = one.course is None or one.course.past is None
+        yield from (f"{table.name}: {own}" for own in warnings_of(table, in_order=one.in_order, from_rest=from_rest))
     for name, table, one in benches_of(tables, model):
         if one.in_order is None and len(table) > 1:
             yield f"{name}: each row was followed from rest, with all that was set in proportion"
@@ -127,12 +129,18 @@ def warnings_of_inputs(
         )
 
 
-def warnings_of_increments(moved: Mapping[str, float]) -> Iterator[str]:
-    """Estimates that the increments of a history have `moved` too far."""
+def warnings_of_numbers(fit: LeastSquaresFit, moved: Mapping[str, float]) -> Iterator[str]:
+    """A friction that no real body has, and estimates that the increments of a history have `moved` too far."""
     for name, part in moved.items():
         if not part <= LARGEST_MOVE:
             what = f"the increments of the history move {name} by {part:.2g} of its standard error"
             yield f"{what}; give more short_steps"
+    mu = fit.value.get("friction_coefficient", 0.0)
+    if mu > LARGEST_FRICTION and fit.status["friction_coefficient"] == IDENTIFIED:
+        yield (
+            f"friction_coefficient = {mu:.3g} is far above that of any tendon; check the units of the tables, "
+            "for instance radians in a column of degrees"
+        )
 
 
 def warnings_of_kinematics(tables: Sequence[Measurements], manipulator: Manipulator) -> Iterator[str]:
