@@ -110,7 +110,7 @@ def _read(
         texts = _without_commas(texts, at, kind)
     columns = {str(heading.column): _values(heading, own, at, kind, source) for heading, own in texts.items()}
     unused = tuple(
-        heading._replace(cells=own)
+        heading
         for i, (heading, own) in enumerate(zip(headings, cells, strict=True), 1)
         if heading.column is None and (heading.text != table_header.nameless(i) or any(text.strip() for text in own))
     )

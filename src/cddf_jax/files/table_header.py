@@ -35,7 +35,6 @@ class Heading(NamedTuple):
     text: str  # as in the file, on one line
     column: str | None = None  # None where it is not used
     unit: str | None = None  # None where there is none
-    cells: Sequence[str] = ()  # below it, of a column that is not used
 
     @property
     def name(self) -> str:
@@ -58,7 +57,7 @@ def heading_of(cell: str, kind: Kind, given: Mapping[str, str]) -> Heading:
         return _as_written(text, kind)
     if not said.strip():
         return Heading(text)
-    _, column, unit, _ = _as_written(said, kind)
+    _, column, unit = _as_written(said, kind)
     dimension = kind.dimension_of(column or said)  # raises for an unknown column
     return Heading(text, column, unit or marked or _unit_behind(text, dimension))
 
@@ -101,7 +100,7 @@ def with_units_below(headings: Sequence[Heading], row: int, cells: Sequence[str]
     """The headings with the units in a row below them; None where that row does not hold units."""
     found, fitting = list(headings), False
     for i, (heading, cell) in enumerate(zip(headings, cells, strict=False)):
-        text, column, own, _ = heading
+        text, column, own = heading
         dimension = None if column is None else kind.dimension_of(column)
         unit = cell.strip().strip("[]()").strip()
         if not unit or (column is not None and dimension is None):
@@ -111,8 +110,8 @@ def with_units_below(headings: Sequence[Heading], row: int, cells: Sequence[str]
             return None
         if fits and own not in (None, unit) and text.rstrip(")] ").endswith(own):  # no unit that the user said
             raise InputError(f"row {row}, column {column}: the unit is {unit}, but {own} in the header; keep one")
-        if own is None and (column is None or fits):
-            found[i] = heading._replace(unit=unit)  # of an unknown column for a guess of what it is
+        if own is None and fits:
+            found[i] = heading._replace(unit=unit)
         fitting = fitting or fits
     return found if fitting else None
 
@@ -120,7 +119,7 @@ def with_units_below(headings: Sequence[Heading], row: int, cells: Sequence[str]
 def check_headings(headings: Sequence[Heading], row: int, kind: Kind) -> None:
     """Refuse a column that appears twice, and a unit that is missing or wrong."""
     seen: dict[str, str] = {}
-    for text, column, unit, _ in headings:
+    for text, column, unit in headings:
         if column is None:
             continue
         if column in seen:
