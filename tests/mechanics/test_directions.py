@@ -121,16 +121,3 @@ def test_a_sweep_and_a_fit_without_directions():
     fit = cddf.fit(PAIR, table)
     assert fit.value["friction_coefficient"] == pytest.approx(0.42, rel=1e-7)
     assert fit.value["youngs_modulus"] == pytest.approx(1.4e6, rel=1e-7)
-
-
-@pytest.mark.parametrize(
-    ("direction", "message"),
-    [
-        ((None, None, 1), "solve: direction must be a number or one per tendon (2), got 3 entries"),
-        ((None, (1, 1)), "solve: direction must be a number or one per tendon (2), got shape (2,)"),
-    ],
-)
-def test_directions_of_a_wrong_shape(direction, message):
-    with pytest.raises(ValueError, match="direction must be") as error:
-        cddf.solve(PAIR, 20.0, direction=direction)
-    assert str(error.value) == message

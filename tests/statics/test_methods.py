@@ -10,28 +10,6 @@ from bodies import codes, paper_body, paper_with, two_slanted_tendons
 
 import cddf_jax as cddf
 
-PARALLEL = paper_body("exact")
-
-
-def tension_of(friction, modulus, direction):
-    body = replace(PARALLEL, friction_coefficient=friction, youngs_modulus=modulus)
-    solution = cddf.solve(body, 75.0, direction=direction, throw=False)
-    return solution.tip_tension[0], solution.status
-
-
-with_slope = jax.jit(jax.vmap(jax.value_and_grad(tension_of, has_aux=True), (0, 0, None)))
-
-
-def test_one_pass_without_a_solution_is_reported():
-    """The ratio overflows, or falls below zero; the lane beside them is that of a solve alone, slopes and all."""
-    for direction, friction, modulus, expected in ((1.0, 1e200, 1e-200, "not_converged"), (-1.0, 2.0, 1e5, "locked")):
-        (tensions, status), slopes = with_slope(jnp.array([friction, 0.1]), jnp.array([modulus, 1.4e6]), direction)
-        assert codes(status)[0] == cddf.Status[expected]
-        assert np.isnan(tensions[0])
-        assert slopes[0] == 0.0
-        (alone, _), slope = with_slope(jnp.full(2, 0.1), jnp.full(2, 1.4e6), direction)
-        np.testing.assert_allclose([tensions[1], slopes[1]], [alone[1], slope[1]], rtol=1e-12)
-
 
 def test_few_passes_settle_strong_friction():
     """The errors of passes over the whole body fall like c^n / n!, docs/theory.md (16).
@@ -44,12 +22,10 @@ def test_few_passes_settle_strong_friction():
 
 
 def test_too_few_passes_are_reported():
-    dragged, hasty = replace(PARALLEL, drag=10.0), cddf.FixedPoint(max_iterations=2)
+    dragged, hasty = replace(paper_body("exact"), drag=10.0), cddf.FixedPoint(max_iterations=2)
     solution = cddf.solve(dragged, 75.0, method=hasty, throw=False)
     assert solution.status == cddf.Status.not_converged
     assert np.all(np.isnan(solution.tip_tension))
-    with pytest.raises(cddf.SolveError, match=r"did not settle\. Raise nodes= or max_iterations"):
-        cddf.solve(dragged, 75.0, method=hasty)
 
 
 def test_literal_iteration_refuses_finite_turns():
