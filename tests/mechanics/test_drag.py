@@ -297,6 +297,7 @@ def test_derivatives_where_there_is_no_tension():
         assert np.all(by_tension > 0)
 
 
+@pytest.mark.slow
 def test_where_there_is_no_drag():
     """T = T_0 / (1 + a T_0 s); at w = 0 d(delta T)/ds = -2 a T delta T - 1, so delta T = -T^2 int ds / T^2."""
     (by_w, _), _ = jacobians("no drag")
@@ -306,6 +307,7 @@ def test_where_there_is_no_drag():
     np.testing.assert_allclose(batch()[1].tip_tension[[*LANES].index("no drag")], [75.0 / z], rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_batch_is_a_loop():
     """Taut, slack before the tip, slack from the base, and a lane that fails; friction differs too."""
     solutions = batch()[1]
@@ -315,12 +317,6 @@ def test_a_batch_is_a_loop():
         np.testing.assert_allclose(solutions.tip_position[i], alone.tip_position, rtol=1e-13)
         assert solutions.status[i] == alone.status
     assert solutions.status[[*LANES].index("fails")] == cddf.Status.unphysical
-
-
-def test_each_tendon_may_have_its_own():
-    tendons = (cddf.Tendon(d), cddf.Tendon(d, -1, drag=5.0))
-    np.testing.assert_array_equal(replace(EXACT, tendons=tendons).tendon_drag, [W, 5.0])
-    np.testing.assert_array_equal(replace(paper_body(), tendons=tendons).tendon_drag, [0.0, 5.0])
 
 
 # --- energy --------------------------------------------------------------------------------------
