@@ -21,6 +21,7 @@ from bodies import (
 )
 from hypothesis import given, settings
 from loaded_bodies import reference_solution
+from scipy.integrate import quad
 
 import cddf_jax as cddf
 
@@ -149,19 +150,38 @@ def test_wrap_angle_also_without_friction():
     np.testing.assert_allclose(jax.jvp(wrap, (0.0,), (1.0,))[1], slopes[0], rtol=1e-11)
 
 
+@pytest.mark.parametrize("kinematics", ["published", "exact"])
+def test_without_friction_the_tension_is_that_at_the_base(kinematics):
+    """Exact: kappa = d T / (E J); published, eq. (17) integrated: d T / (E J + T d^2). SciPy integrates to the tip."""
+    solution = cddf.solve(paper_body(kinematics, friction_coefficient=0.0), 50.0)
+    np.testing.assert_array_equal(solution.tension, 50.0)
+    np.testing.assert_array_equal(solution.tension_loss, 0.0)
+
+    def curvature(s):
+        return 0.010 * 50.0 / (1.4e6 * paper_plain().second_moment(s) + (kinematics == "published") * 50.0 * 0.010**2)
+
+    np.testing.assert_allclose(solution.curvature, curvature(np.asarray(solution.arc_length)), rtol=1e-12)
+    np.testing.assert_allclose(solution.tip_angle, quad(curvature, 0, 0.14, epsrel=1e-13)[0], atol=1e-9)
+
+
+def test_no_tension_no_bending():
+    solution = cddf.solve(paper_body("published"), 0.0)
+    np.testing.assert_array_equal(solution.curvature, 0.0)
+    np.testing.assert_array_equal(solution.tip_tension, 0.0)
+    np.testing.assert_allclose(solution.tip_position, [0.14, 0.0], atol=1e-12)
+
+
 # --- the pulley, eq. (5): a weight raised over a fixed pulley ------------------------------------
 
 
 def test_the_pull_over_a_pulley():
-    """By hand: 0.42 pi / 2 = 0.659734 and e^0.659734 = 1.93428; twice the wrap; no wrap, no friction, no weight."""
+    """By hand: 0.42 pi / 2 = 0.659734 and e^0.659734 = 1.93428; twice the wrap; no wrap, no friction, no weight.
+
+    And dT/dmu = theta T.
+    """
     weight, mu = np.array([10.0, 10.0, 7.0, 7.0, 0.0]), np.array([0.42, 0.42, 0.42, 0.0, 0.42])
     wrap = np.pi * np.array([0.5, 1.0, 0.0, 1.0, 1.0])
-    np.testing.assert_allclose(cddf.pulling_tension(weight, mu, wrap), [19.3428, 37.4144, 7.0, 7.0, 0.0], rtol=1e-5)
-
-
-def test_derivatives_of_the_pull():
-    """dT/dmu = theta T."""
-    weight, wrap = np.array([5.0, 10.0]), np.array([1.0, 2.0])
-    pulled, slope = jax.jvp(lambda mu: cddf.pulling_tension(weight, mu, wrap), (0.42,), (1.0,))
-    np.testing.assert_allclose(pulled, weight * np.exp(0.42 * wrap), rtol=1e-14)
+    pulled, slope = jax.jvp(lambda mu: cddf.pulling_tension(weight, mu, wrap), (mu,), (np.ones(5),))
+    np.testing.assert_allclose(pulled, [19.3428, 37.4144, 7.0, 7.0, 0.0], rtol=1e-5)
+    np.testing.assert_allclose(pulled, weight * np.exp(mu * wrap), rtol=1e-14)
     np.testing.assert_allclose(slope, wrap * pulled, rtol=1e-14)
