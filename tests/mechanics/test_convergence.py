@@ -54,13 +54,13 @@ def solver_with(kinematics, nodes):
 
 
 def true_errors(kinematics, draws, solutions):
+    """Of tension (relative), position (per length) and angle at the tip."""
     rows = []
     for i, draw in enumerate(draws):
-        plain = plain_of(draw, kinematics)
-        reference = reference_solution(plain, draw.base_tension)
-        tension = solutions.tip_tension[i, 0] / plain.closed_form(draw.base_tension, draw.length) - 1
-        position = np.max(np.abs(solutions.tip_position[i] - reference.tip_position)) / draw.length
-        rows.append(max(abs(tension), position, abs(solutions.tip_angle[i] - reference.tip_angle)))
+        found = reference_solution(plain_of(draw, kinematics), draw.base_tension)
+        tension = solutions.tip_tension[i, 0] / found.tip_tension[0] - 1
+        position = np.max(np.abs(solutions.tip_position[i] - found.tip_position)) / draw.length
+        rows.append(max(abs(tension), position, abs(solutions.tip_angle[i] - found.tip_angle)))
     return np.array(rows)
 
 
@@ -83,15 +83,11 @@ def test_the_estimate_is_not_below_the_error(kinematics):
 # --- bodies too rough for their nodes ------------------------------------------------------------
 
 
-KINK, STEP = 0.0613, 0.0613  # m, at no node of any rule
+KINK = 0.0613  # m, at no node of any rule
 
 
 def kinked(s):
     return 0.013 + 0.09 * jnp.abs(s - KINK)
-
-
-def stepped(s):
-    return jnp.where(s < STEP, 0.019, 0.014)
 
 
 def wiggling(s):
@@ -102,7 +98,7 @@ def body_with(outer_radius, kinematics: Any = "exact"):
     return cddf.Manipulator(0.14, outer_radius, 0.007, (cddf.Tendon(0.01),), 1.4e6, 0.42, kinematics=kinematics)
 
 
-@pytest.mark.parametrize("profile", [kinked, stepped, wiggling], ids=lambda f: f.__name__)
+@pytest.mark.parametrize("profile", [kinked, wiggling], ids=lambda f: f.__name__)
 def test_an_undeclared_roughness_is_detected(profile):
     solution = cddf.solve(body_with(profile), 40.0, throw=False)
     assert solution.status == cddf.Status.inaccurate

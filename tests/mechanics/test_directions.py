@@ -86,12 +86,6 @@ def test_stated_directions_win():
     np.testing.assert_array_equal(found.tip_tension, both_in.tip_tension)
 
 
-def test_a_single_tendon_slides_in():
-    """Under any loads: its direction does not depend on them."""
-    for direction in (None, [None]):
-        np.testing.assert_array_equal(cddf.solve(paper_body("exact"), 5.0, direction=direction).direction, [1])
-
-
 @pytest.mark.parametrize(
     ("pulls", "loads"),
     [

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import PAPER, lane, one_kinematics_at_once, paper_body, paper_plain, replaced
+from bodies import PAPER, both_modes, one_kinematics_at_once, paper_body, paper_plain, replaced
 from kinds import of_kind, root_of
 from scipy.integrate import quad, solve_ivp
 
@@ -250,25 +250,26 @@ def by_scipy(w, base_tension, direction):
     return np.array([tension(LENGTH), quad(tension, 0, end, epsabs=1e-13, epsrel=1e-13)[0] * d / (E * J)])
 
 
+NUMBERS = np.array([*LANES.values()])
+
+
 @lru_cache
-def batch():
-    """All lanes: by drag and tension in both modes, and the solutions; reverse mode is a linear map transposed."""
+def derivatives():
+    """Of tip tension and tip angle by drag and tension, in both modes, in all lanes."""
 
-    def both(w, base_tension, *others):
-        def observed(w, base_tension):
-            solution = drawn(w, base_tension, *others)
-            return jnp.stack([solution.tip_tension[0], solution.tip_angle]), solution
+    def both(numbers):
+        def observed(drag_and_tension):
+            solution = drawn(*drag_and_tension, *numbers[2:])
+            return jnp.stack([solution.tip_tension[0], solution.tip_angle])
 
-        value, along, solution = jax.linearize(observed, w, base_tension, has_aux=True)
-        reverse = jax.vmap(jax.linear_transpose(along, w, base_tension))(jnp.eye(value.size))
-        return (jax.vmap(along)(*jnp.eye(2)), reverse), solution
+        return both_modes(observed)(numbers[:2])
 
-    return jax.jit(jax.vmap(both))(*np.array([*LANES.values()]).T)
+    return jax.jit(jax.vmap(both))(NUMBERS)
 
 
 def jacobians(name):
-    """(2, 2) each, forward and reverse, of tip tension and tip angle."""
-    return jax.tree.map(np.asarray, lane(batch()[0], [*LANES].index(name)))
+    """Forward and reverse: a row by drag and one by tension, each of tip tension and tip angle."""
+    return [modes[[*LANES].index(name)].T for modes in derivatives()[1:]]
 
 
 @pytest.mark.parametrize("name", ["in", "slack", "out"])
@@ -300,18 +301,18 @@ def test_derivatives_where_there_is_no_tension():
 @pytest.mark.slow
 def test_where_there_is_no_drag():
     """T = T_0 / (1 + a T_0 s); at w = 0 d(delta T)/ds = -2 a T delta T - 1, so delta T = -T^2 int ds / T^2."""
-    (by_w, _), _ = jacobians("no drag")
+    by_w = jacobians("no drag")[0][0]
     a = MU * d / (E * J)
     z = 1 + a * 75.0 * LENGTH
     np.testing.assert_allclose(by_w[0], -(z**3 - 1) / (3 * a * 75.0) / z**2, rtol=1e-9)
-    np.testing.assert_allclose(batch()[1].tip_tension[[*LANES].index("no drag")], [75.0 / z], rtol=1e-12)
+    np.testing.assert_allclose(derivatives()[0][[*LANES].index("no drag"), 0], 75.0 / z, rtol=1e-12)
 
 
 @pytest.mark.slow
 def test_a_batch_is_a_loop():
     """Taut, slack before the tip, slack from the base, and a lane that fails; friction differs too."""
-    solutions = batch()[1]
-    for i, numbers in enumerate(LANES.values()):
+    solutions = jax.jit(jax.vmap(lambda numbers: drawn(*numbers)))(NUMBERS)
+    for i, numbers in enumerate(NUMBERS):
         alone = drawn(*numbers)
         np.testing.assert_allclose(solutions.tip_tension[i], alone.tip_tension, rtol=1e-13)
         np.testing.assert_allclose(solutions.tip_position[i], alone.tip_position, rtol=1e-13)

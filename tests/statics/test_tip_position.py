@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import codes
+from bodies import both_modes, codes
 from places import ROOT
 from refusals import refused
 from scipy.integrate import quad
@@ -26,15 +26,14 @@ PULLED = np.array([20.0, 12.0, 3.0])
 LEAST = np.array([17.0, 9.0, 0.0])  # the same sum of arms, without what cancels
 
 
-def body(friction=MU):
-    tendons = tuple(cddf.Tendon(d, angle=angle) for angle in ANGLES)
+def body(tendons=tuple(cddf.Tendon(d, angle=angle) for angle in ANGLES)):
     return cddf.Manipulator(
         length=L,
         outer_radius=RADIUS,
         inner_radius=0.0,
         tendons=tendons,
         youngs_modulus=E,
-        friction_coefficient=friction,
+        friction_coefficient=MU,
     )
 
 
@@ -112,15 +111,10 @@ def test_the_miss_and_the_rank_are_reported(reached):
 
 @pytest.mark.slow
 def test_derivatives_in_both_modes_undo_those_of_the_tip():
-    """Of the tensions by place, least and most, as `both_modes`."""
-
-    def both(numbers):
-        _, along = jax.linearize(lambda numbers: reach(numbers)[0], numbers)
-        (reverse,) = jax.vmap(jax.linear_transpose(along, numbers))(jnp.eye(3))
-        return jax.vmap(along, out_axes=-1)(jnp.eye(5)), reverse
-
+    """Of the tensions by place, least and most."""
+    derivatives = jax.jit(jax.vmap(both_modes(lambda numbers: reach(numbers)[0])))
     h = 1e-4
-    for lanes in jax.jit(jax.vmap(both))(NUMBERS):
+    for lanes in derivatives(NUMBERS)[1:]:
         by_place, by_least = lanes[1, :, :3], lanes[1, :, 3]  # among lanes that fail
         steps = h * np.eye(3)[:2]
         pushed = np.stack([(tip_of(LEAST + step) - tip_of(LEAST - step)) / (2 * h) for step in steps], axis=1)
@@ -129,10 +123,7 @@ def test_derivatives_in_both_modes_undo_those_of_the_tip():
 
 
 def in_plane(ends):
-    tendons = tuple(cddf.Tendon(d, end=end) for end in ends)
-    return cddf.Manipulator(
-        length=L, outer_radius=RADIUS, inner_radius=0.0, tendons=tendons, youngs_modulus=E, friction_coefficient=MU
-    )
+    return body(tuple(cddf.Tendon(d, end=end) for end in ends))
 
 
 @pytest.mark.parametrize("loads", [None, pytest.param(cddf.Loads((0.0, -0.2)), marks=pytest.mark.slow)])
