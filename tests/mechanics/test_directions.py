@@ -79,11 +79,17 @@ def test_the_slope_holds_the_directions():
 
 
 def test_stated_directions_win():
-    found = cddf.solve(PAIR, (75.0, 20.0), direction=(None, +1))
+    """Where a tendon travels against its direction, that is said and not raised."""
     both_in = cddf.solve(PAIR, (75.0, 20.0), direction=+1)
+    assert both_in.status == CONTRADICTED
+    assert "flip it or leave it out" in cddf.in_words(both_in.status)
+    assert both_in.tendon_displacement[1] < 0
+    found = cddf.solve(PAIR, (75.0, 20.0), direction=(None, +1))
     np.testing.assert_array_equal(found.direction, (1, 1))
     np.testing.assert_array_equal(found.direction_contradicted, (False, True))
     np.testing.assert_array_equal(found.tip_tension, both_in.tip_tension)
+    # without tension there is no friction whose sign could be wrong
+    assert cddf.solve(PAIR, (75.0, 0.0), direction=+1).status == SUCCESSFUL
 
 
 @pytest.mark.parametrize(

@@ -169,13 +169,12 @@ def test_millimetres_and_megapascals():
 OPPOSING = PlainLoads((0.5, -4.0), -0.05, (1.0, -9.81))
 
 
-def opposed(**changes):
-    return paper_body("exact", density=1070.0, **changes)
+OPPOSED = paper_body("exact", density=1070.0)
 
 
 def test_a_load_may_push_a_tendon_back_further_than_its_tension_draws_it_in():
     """That contradicts no direction."""
-    solution = cddf.solve(opposed(), 5.0, cddf.Loads(*OPPOSING))
+    solution = cddf.solve(OPPOSED, 5.0, cddf.Loads(*OPPOSING))
     assert solution.tendon_displacement[0] < 0
     assert solution.status == cddf.Status.successful
 
@@ -285,12 +284,12 @@ BATCH = cddf.Loads(np.zeros((3, 2)), np.zeros(3), np.zeros((3, 2)))
     [
         (cddf.Loads, (3.0,), "Loads: tip_force must have two or three components (X, Y, Z), got shape ()"),
         (cddf.Loads, ((0.0, 1.0), 0.0, (0.0,)), "gravity must have two or three components"),
-        (cddf.solve, (opposed(), 60.0, 5), "solve: loads must be a Loads, as in Loads(tip_force=(0.0, -1.0)), got 5"),
-        (cddf.solve, (opposed(), 60.0, cddf.Loads), "solve: loads must be a Loads, as in Loads("),
-        (cddf.solve, (opposed(), 60.0, BATCH), "loads.tip_force must have shape (2,) or (3,), got (3, 2); batch with"),
+        (cddf.solve, (OPPOSED, 60.0, 5), "solve: loads must be a Loads, as in Loads(tip_force=(0.0, -1.0)), got 5"),
+        (cddf.solve, (OPPOSED, 60.0, cddf.Loads), "solve: loads must be a Loads, as in Loads("),
+        (cddf.solve, (OPPOSED, 60.0, BATCH), "loads.tip_force must have shape (2,) or (3,), got (3, 2); batch with"),
         (
             cddf.solve,
-            (opposed(), 60.0, eqx.tree_at(lambda loads: loads.tip_moment, cddf.Loads(), np.zeros(4))),
+            (OPPOSED, 60.0, eqx.tree_at(lambda loads: loads.tip_moment, cddf.Loads(), np.zeros(4))),
             "loads.tip_moment must have shape () or (3,), got (4,)",
         ),
     ],

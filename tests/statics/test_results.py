@@ -57,19 +57,6 @@ def test_a_crossing_keeps_its_numbers_and_is_one():
     np.testing.assert_allclose(solution.tip_tension, [plain.closed_form(tension, 0.14)], rtol=1e-6)
 
 
-def test_a_contradicted_direction_is_said_and_not_raised():
-    solution = cddf.solve(paper_body("exact", num_tendons=2), (75.0, 20.0), direction=+1)
-    assert solution.status == Status.direction_contradicted
-    np.testing.assert_array_equal(solution.direction_contradicted, [False, True])
-    assert solution.tendon_displacement[1] < 0
-    assert "flip it or leave it out" in cddf.in_words(solution.status)
-    right = cddf.solve(paper_body("exact", num_tendons=2), (75.0, 20.0), direction=(+1, -1))
-    assert right.status == Status.successful
-    assert not np.any(right.direction_contradicted)
-    # without tension there is no friction whose sign could be wrong
-    assert cddf.solve(paper_body("exact", num_tendons=2), (75.0, 0.0), direction=+1).status == Status.successful
-
-
 # --- arguments -----------------------------------------------------------------------------------
 
 
@@ -91,20 +78,6 @@ def test_arguments_that_are_refused(given, message):
 
 
 # --- fields --------------------------------------------------------------------------------------
-
-
-def test_the_ends_of_the_fields(pair):
-    assert pair.arc_length[0] == 0.0
-    assert pair.arc_length[-1] == 0.14
-    assert np.all(np.diff(pair.arc_length) > 0)
-    np.testing.assert_array_equal(pair.position[0], 0.0)
-    np.testing.assert_array_equal(pair.heading[0], 0.0)
-    np.testing.assert_array_equal(pair.wrap_angle[:, 0], 0.0)
-    np.testing.assert_allclose(pair.tension[:, 0], [75.0, 20.0], rtol=1e-14)
-    np.testing.assert_allclose(pair.tension[:, -1], pair.tip_tension, rtol=1e-14)
-    np.testing.assert_allclose(pair.tension_loss, 1 - np.asarray(pair.tip_tension) / [75.0, 20.0], rtol=1e-12)
-    np.testing.assert_array_equal(pair.tip_position, pair.position[-1])
-    np.testing.assert_array_equal(pair.tip_angle, pair.heading[-1])
 
 
 def test_the_capstan_law_along_the_body(pair):

@@ -96,14 +96,6 @@ def tip_tension(tension):
 tip_tensions = jax.jit(jax.vmap(lambda t: (tip_tension(t), jax.grad(tip_tension)(t))))
 
 
-def test_a_derivative_through_scan_is_the_sum_of_derivatives():
-    def total(scale):
-        return jax.lax.scan(lambda c, t: (c + tip_tension(scale * t), None), 0.0 * scale, LADDER)[0]
-
-    _, slopes = tip_tensions(LADDER)
-    np.testing.assert_allclose(jax.jit(jax.grad(total))(1.0), jnp.sum(LADDER * slopes), rtol=1e-10)
-
-
 LANES, EVERYWHERE = PartitionSpec("lanes"), PartitionSpec()
 
 
@@ -142,12 +134,19 @@ def test_targets_that_differ_from_device_to_device(target):
     np.testing.assert_allclose(on_four_devices(reached)(wanted), alone, rtol=1e-6)
 
 
-def test_a_derivative_across_devices():
-    """Of the sum over all lanes by a number that every device shares."""
+def through_scan(scale, tensions):
+    return jax.lax.scan(lambda c, t: (c + tip_tension(scale * t), None), 0.0 * scale, tensions)[0]
 
+
+def across_devices(scale, tensions):
     def local(scale, tensions):
         return jax.lax.psum(jnp.sum(jax.vmap(lambda t: tip_tension(scale * t))(tensions)), "lanes")
 
-    total = on_four_devices(local, (EVERYWHERE, LANES), EVERYWHERE)
+    return on_four_devices(local, (EVERYWHERE, LANES), EVERYWHERE)(scale, tensions)
+
+
+@pytest.mark.parametrize("total", [through_scan, across_devices])
+def test_the_derivative_of_a_sum_is_the_sum_of_derivatives(total):
+    """By a number that all lanes share."""
     _, slopes = tip_tensions(LADDER)
     np.testing.assert_allclose(jax.jit(jax.grad(total))(1.0, LADDER), jnp.sum(LADDER * slopes), rtol=1e-10)
