@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import paper_body, paper_plain, stack, two_slanted_tendons
+from bodies import codes, paper_body, paper_plain, stack, two_slanted_tendons
 from refusals import refused
 
 import cddf_jax as cddf
@@ -55,6 +55,34 @@ def test_a_crossing_keeps_its_numbers_and_is_one():
     assert 0.010**2 * plain.closed_form(tension, 0.14) / (3e5 * plain.second_moment(0.14)) > 1
     solution = cddf.solve(body, tension, throw=False)
     np.testing.assert_allclose(solution.tip_tension, [plain.closed_form(tension, 0.14)], rtol=1e-6)
+
+
+def test_few_passes_settle_strong_friction():
+    """The errors of passes over the whole body fall like c^n / n!, docs/theory.md (16).
+
+    A slanted pair with 77 % loss: c = -ln(1 - 0.77) = 1.46, and c^n / n! is 1e-12 at n = 18.
+    """
+    solution = cddf.solve(two_slanted_tendons(friction_coefficient=1.2), (150.0, 20.0), direction=+1, throw=False)
+    assert solution.tension_loss[0] > 0.7
+    assert solution.num_iterations < 18
+
+
+def test_too_few_passes_are_reported():
+    dragged, hasty = replace(paper_body("exact"), drag=10.0), cddf.FixedPoint(max_iterations=2)
+    solution = cddf.solve(dragged, 75.0, method=hasty, throw=False)
+    assert solution.status == cddf.Status.not_converged
+    assert np.all(np.isnan(solution.tip_tension))
+
+
+@pytest.mark.parametrize("kinematics", ["published", "exact"])
+def test_a_locking_tendon_is_reported_as_such(kinematics):
+    """Sliding out, the closed form of docs/theory.md (16) reads T_base / (1 - (mu/E) T_base G): no tip beyond 1."""
+    limit = 1.4e6 / 0.42 / 2.942783188998e4
+    body = paper_body(kinematics)
+    solve = jax.jit(jax.vmap(lambda t: cddf.solve(body, t, direction=-1, throw=False).status))
+    factors = jnp.array([1.01, 1.05, 1.2, 1.5, 2.0, 3.0, 10.0, 100.0])
+    assert codes(solve(factors * limit)) == [cddf.Status.locked] * 8
+    assert cddf.Status.locked not in codes(solve(jnp.linspace(0.1, 0.9, 8) * limit))
 
 
 # --- arguments -----------------------------------------------------------------------------------
@@ -165,3 +193,45 @@ def test_a_batch_is_refused_with_what_to_map():
     assert "use jax.vmap(lambda equilibrium: equilibrium.at(s))(equilibria)" in refused(batch.at, 0.07)
     mapped = jax.jit(jax.vmap(lambda equilibrium: equilibrium.at(0.07)))(batch)
     np.testing.assert_allclose(mapped.tension[1], one.at(0.07).tension, rtol=1e-14)  # as the remedy says
+
+
+# --- in words: numbers with units in a few lines, shapes where numbers are traced or batched ---------
+
+
+@pytest.mark.parametrize(("ratio", "count"), [(0.5, 0), (0.8, 1)])  # an isotropic material has 0.5 at most
+def test_a_poissons_ratio_that_no_material_has(ratio, count):
+    body = replace(paper_body("exact"), poissons_ratio=ratio)
+    remarks = cddf.solve(body, 40.0, space=True).remarks
+    assert [remark.startswith("poissons_ratio = 0.8 is above 0.5") for remark in remarks] == [True] * count
+    assert cddf.solve(body, 40.0).remarks == ()  # in the plane nothing depends on it
+
+
+def test_under_vmap_and_jit_there_are_shapes():
+    told = []
+
+    def tip(tension):
+        bent = cddf.solve(paper_body(), tension)
+        told.extend([str(bent), str(replace(paper_body(), length=tension))])
+        return bent
+
+    batch = jax.jit(jax.vmap(tip))(np.array([10.0, 75.0, -1.0]))
+    assert "tip_position=f64[2]" in told[0]
+    assert told[1].startswith("Manipulator(")
+    assert "tip_position=f64[3,2]" in str(batch)
+    assert cddf.in_words(batch.status) == "2 successful, 1 unphysical"
+
+
+def test_a_manipulator():
+    wavy = cddf.Tendon(lambda s: 0.010 + 0.001 * np.sin(np.pi * s / 0.1) ** 2, -1, end=0.1, friction_coefficient=0.3)
+    pair = two_slanted_tendons(density=1070.0)
+    body = replace(pair, tendons=(*pair.tendons, wavy), drag=0.5, yield_strain=0.1)
+    assert str(body).splitlines() == [
+        "Manipulator of 140 mm, exact kinematics",
+        "outer_radius 20 mm at the base, 13 mm at s = 140 mm",
+        "inner_radius 7 mm",
+        "youngs_modulus 1.4 MPa, friction_coefficient 0.42, density 1070 kg/m^3, drag 0.5 N/m, yield_strain 10 %",
+        "tendon 1: offset 12 mm at the base, 9 mm at s = 140 mm, side +1",
+        "tendon 2: offset 12 mm at the base, 9 mm at s = 140 mm, side -1",
+        "tendon 3: offset 10 mm at the base, 10 mm at s = 100 mm (from 10 mm to 11 mm), side -1, "
+        "end 100 mm, friction_coefficient 0.3",
+    ]

@@ -260,12 +260,8 @@ def test_the_compliance_of_the_tip_is_6_by_6_and_symmetric_without_friction():
     np.testing.assert_allclose(compliance[:3, 2], difference, rtol=1e-6, atol=1e-9)
 
 
-def test_a_body_and_its_equilibrium_in_words():
-    body, (_, tip) = paper_with(helix(0.25)), HELICES[0.25]
-    assert "angle 0 deg at the base, 90 deg at s = 140 mm" in str(body)
-    said = str(cddf.solve(body, 75.0))
-    assert f"tip at ({tip[0]:.3f}, {tip[1]:.3f}, {tip[2]:.3f}) mm" in said
-    assert "from the axis of the base" in said
+def test_a_body_in_words():
+    assert "angle 0 deg at the base, 90 deg at s = 140 mm" in str(paper_with(helix(0.25)))
 
 
 @pytest.mark.slow
