@@ -113,16 +113,13 @@ PAIR_LOADS = cddf.Loads(tip_force=(-0.5, -1.0), tip_moment=0.03, gravity=(2.0, -
 mirrored = cddf.Loads(tip_force=(-0.5, 1.0), tip_moment=-0.03, gravity=(2.0, 9.81))
 
 
-def pair(**changes):
-    return paper_body("exact", num_tendons=2, **{"density": 1070.0, **changes})
-
-
-def solved_pair(loads=PAIR_LOADS, tension=(60.0, 15.0), direction=(+1, -1), **changes):
-    return cddf.solve(pair(**changes), tension, loads, direction=direction)
+def solved_pair(loads: cddf.Loads | None = PAIR_LOADS, tension=(60.0, 15.0), direction=(+1, -1), **changes):
+    body = paper_body("exact", num_tendons=2, **{"density": 1070.0, **changes})
+    return cddf.solve(body, tension, loads, direction=direction)
 
 
 def test_loads_of_zero_are_no_loads():
-    none = cddf.solve(pair(), (60.0, 15.0), direction=(+1, -1))
+    none = solved_pair(None)
     zero = solved_pair(cddf.Loads())
     np.testing.assert_allclose(zero.tendon_displacement, none.tendon_displacement, rtol=SETTLED)
     along = none.at(zero.arc_length)  # under loads there are more elements

@@ -11,14 +11,6 @@ from jax.sharding import AxisType, PartitionSpec
 
 import cddf_jax as cddf
 
-SAME = 1e-12  # the same operations, in an order that the compiler may change
-
-
-def assert_same(a, b, tolerance=SAME):
-    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
-        np.testing.assert_allclose(x, y, rtol=tolerance, atol=tolerance)
-
-
 # --- lanes that fail -----------------------------------------------------------------------------
 
 # one tendon that slides out, 40 N; the lanes differ in their body, mu is shared
@@ -110,7 +102,7 @@ def test_shard_map_gives_values_slopes_and_curvatures():
         return tip_tension(tension), slope, bend
 
     sharded = on_four_devices(jax.vmap(values))(LADDER)
-    assert_same(sharded[:2], tip_tensions(LADDER), 1e-10)
+    np.testing.assert_allclose(sharded[:2], tip_tensions(LADDER), rtol=1e-10)
     a = 0.42 / 1.4e6 * paper_plain("exact").compliance(0.14)  # T / (1 + a T), docs/theory.md (16)
     np.testing.assert_allclose(sharded[2], -2 * a / (1 + a * LADDER) ** 3, rtol=1e-7)
     assert len(sharded[0].sharding.device_set) == 4
