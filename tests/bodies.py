@@ -25,6 +25,18 @@ PAPER = {
 }
 
 
+# a slender rod, so that a curl stays clear of its own offset
+ROD = {
+    "length": 0.2,
+    "outer_radius": (0.004, 0.004),
+    "inner_radius": 0.0,
+    "tendon_offset": 0.002,
+    "youngs_modulus": 1e6,
+    "friction_coefficient": 0.3,
+}
+RIGIDITY = 1e6 * np.pi / 4 * 0.004**4  # E J of the rod, N m^2
+
+
 # for tests that compile for either kinematics, and say much the same of both
 one_kinematics_at_once = pytest.mark.parametrize(
     "kinematics", ["exact", pytest.param("published", marks=pytest.mark.slow)]

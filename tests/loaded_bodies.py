@@ -60,13 +60,6 @@ class NotFoundError(RuntimeError):
     """No equilibrium at the end of the path: a fold in the loads, or a trial shape without meaning."""
 
 
-def mass(body: PlainBody, density: float, start: float = 0.0) -> float:
-    """int_start^L rho A ds by adaptive quadrature, piece by piece."""
-    stops = sorted({start, body.length, *(s for s in body.breaks if start < s < body.length)})
-    parts = [quad(lambda s: _area(body, s), a, b, epsabs=0, epsrel=1e-13)[0] for a, b in pairwise(stops)]
-    return density * sum(parts)
-
-
 def _area(body: PlainBody, s: Any) -> Any:
     return np.pi * (body.outer_radius(s) ** 2 - body.inner_radius(s) ** 2)
 
@@ -159,10 +152,11 @@ class _Shot:
         self.ends = np.asarray(body.ends if len(body.ends) else [np.inf] * n, float)
         self.exact = body.kinematics == "exact"
         self.slanted = self.exact and body.slopes is not None
-        self.total_mass = mass(body, density) if density else 0.0
         self.unit = body.youngs_modulus * body.second_moment(0.0) / body.length  # of moments
         inner = [s for s in (*body.breaks, *self.ends) if 0 < s < body.length]
         self.stops = sorted({0.0, body.length, *inner})
+        areas = [quad(lambda s: _area(body, s), a, b, epsabs=0, epsrel=1e-13)[0] for a, b in pairwise(self.stops)]
+        self.total_mass = density * sum(areas)
 
     def fly(self, moment: float, fraction: float, rtol: float, fine: bool = False) -> _Flight:
         """From base to tip; `moment` per E J / L at the base."""
@@ -317,16 +311,6 @@ class _Shot:
 # --- textbook ------------------------------------------------------------------------------------
 
 
-def cantilever_tapered(body: PlainBody, force: float) -> float:
-    """Small deflection of the tip under a small transverse force there: F int (L - s)^2 / (E J) ds (Castigliano)."""
-    stops = sorted({0.0, body.length, *body.breaks})
-    parts = [
-        quad(lambda s: (body.length - s) ** 2 / body.second_moment(s), a, b, epsrel=1e-13)[0]
-        for a, b in pairwise(stops)
-    ]
-    return force / body.youngs_modulus * sum(parts)
-
-
 def elastica_tip(alpha: float) -> tuple[float, float, float]:
     """Uniform cantilever, transverse dead force F at its tip, alpha = F L^2 / (E J): (x/L, y/L, tip angle).
 
@@ -348,14 +332,3 @@ def elastica_tip(alpha: float) -> tuple[float, float, float]:
     m, a = parts(angle)
     y = 1 - 2 * (ellipe(m) - ellipeinc(a, m)) / root
     return np.sqrt(2 * np.sin(angle)) / root, np.sign(alpha) * y, np.sign(alpha) * angle
-
-
-def circle_tip(kappa: float, length: float) -> tuple[float, float, float]:
-    """(x, y, angle) at the end of an arc of constant curvature, which a tip moment alone makes: kappa = m / (E J)."""
-    angle = kappa * length
-    return length * np.sinc(angle / np.pi), length * np.sin(angle / 2) * np.sinc(angle / 2 / np.pi), angle
-
-
-def buckling_force(stiffness: float, length: float) -> float:
-    """Euler's load of a uniform cantilever under an axial dead force at its tip: pi^2 E J / (4 L^2)."""
-    return np.pi**2 * stiffness / (4 * length**2)

@@ -7,8 +7,10 @@ import pytest
 
 from cddf_jax.errors import InputError
 
+Errors = type[Exception] | tuple[type[Exception], ...]
 
-def refused(call: Callable[..., Any], *arguments: Any, error: type[Exception] = InputError, **options: Any) -> str:
+
+def refused(call: Callable[..., Any], *arguments: Any, error: Errors = InputError, **options: Any) -> str:
     """What is said when a call is refused: one line."""
     with pytest.raises(error) as caught:
         call(*arguments, **options)

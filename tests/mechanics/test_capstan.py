@@ -21,6 +21,7 @@ from bodies import (
 )
 from hypothesis import given, settings
 from loaded_bodies import reference_solution
+from scipy.integrate import quad
 
 import cddf_jax as cddf
 
@@ -35,16 +36,14 @@ TIP_TENSIONS = np.array(
 )
 
 
-def solver_for(kinematics):
-    return jax.jit(lambda draw: cddf.solve(body_of(draw, kinematics), draw.base_tension, throw=False))
+@eqx.filter_jit
+def solve_draw(draw, kinematics):
+    return cddf.solve(body_of(draw, kinematics), draw.base_tension, throw=False)
 
 
 @jax.jit
 def closed_form_of(draw, along):
     return cddf.closed_form_tension(body_of(draw, "published"), draw.base_tension, along)
-
-
-solve_draw = {kinematics: solver_for(kinematics) for kinematics in ("published", "exact")}
 
 
 @pytest.mark.parametrize("kinematics", ["published", "exact"])
@@ -54,7 +53,7 @@ def test_random_bodies(kinematics, unit):
     """Published with converging offsets, exact with a constant one; SciPy's quadrature of d / J, and its DOP853."""
     draw = draw_from(unit, kinematics)
     plain = plain_of(draw, kinematics)
-    solution = solve_draw[kinematics](Draw(*map(jnp.asarray, draw)))
+    solution = solve_draw(Draw(*map(jnp.asarray, draw)), kinematics)
     expected = plain.closed_form(draw.base_tension, draw.length)
     np.testing.assert_allclose(solution.tip_tension, [expected], rtol=TENSION_ACCURACY)
     reference = reference_solution(plain, draw.base_tension)
@@ -65,7 +64,7 @@ def test_random_bodies(kinematics, unit):
 
 def test_no_false_alarm():
     """A solve with the accuracy above must not be called inaccurate; 200 bodies, seed 0."""
-    result = jax.vmap(solve_draw["exact"])(stack(random_draws("exact", 200, seed=0))).status
+    result = jax.vmap(lambda draw: solve_draw(draw, "exact").status)(stack(random_draws("exact", 200, seed=0)))
     assert codes(result).count(cddf.Status.inaccurate) == 0
     assert codes(result) == [cddf.Status.successful] * 200
 
@@ -149,19 +148,38 @@ def test_wrap_angle_also_without_friction():
     np.testing.assert_allclose(jax.jvp(wrap, (0.0,), (1.0,))[1], slopes[0], rtol=1e-11)
 
 
+@pytest.mark.parametrize("kinematics", ["published", "exact"])
+def test_without_friction_the_tension_is_that_at_the_base(kinematics):
+    """Exact: kappa = d T / (E J); published, eq. (17) integrated: d T / (E J + T d^2). SciPy integrates to the tip."""
+    solution = cddf.solve(paper_body(kinematics, friction_coefficient=0.0), 50.0)
+    np.testing.assert_array_equal(solution.tension, 50.0)
+    np.testing.assert_array_equal(solution.tension_loss, 0.0)
+
+    def curvature(s):
+        return 0.010 * 50.0 / (1.4e6 * paper_plain().second_moment(s) + (kinematics == "published") * 50.0 * 0.010**2)
+
+    np.testing.assert_allclose(solution.curvature, curvature(np.asarray(solution.arc_length)), rtol=1e-12)
+    np.testing.assert_allclose(solution.tip_angle, quad(curvature, 0, 0.14, epsrel=1e-13)[0], atol=1e-9)
+
+
+def test_no_tension_no_bending():
+    solution = cddf.solve(paper_body("published"), 0.0)
+    np.testing.assert_array_equal(solution.curvature, 0.0)
+    np.testing.assert_array_equal(solution.tip_tension, 0.0)
+    np.testing.assert_allclose(solution.tip_position, [0.14, 0.0], atol=1e-12)
+
+
 # --- the pulley, eq. (5): a weight raised over a fixed pulley ------------------------------------
 
 
 def test_the_pull_over_a_pulley():
-    """By hand: 0.42 pi / 2 = 0.659734 and e^0.659734 = 1.93428; twice the wrap; no wrap, no friction, no weight."""
+    """By hand: 0.42 pi / 2 = 0.659734 and e^0.659734 = 1.93428; twice the wrap; no wrap, no friction, no weight.
+
+    And dT/dmu = theta T.
+    """
     weight, mu = np.array([10.0, 10.0, 7.0, 7.0, 0.0]), np.array([0.42, 0.42, 0.42, 0.0, 0.42])
     wrap = np.pi * np.array([0.5, 1.0, 0.0, 1.0, 1.0])
-    np.testing.assert_allclose(cddf.pulling_tension(weight, mu, wrap), [19.3428, 37.4144, 7.0, 7.0, 0.0], rtol=1e-5)
-
-
-def test_derivatives_of_the_pull():
-    """dT/dmu = theta T."""
-    weight, wrap = np.array([5.0, 10.0]), np.array([1.0, 2.0])
-    pulled, slope = jax.jvp(lambda mu: cddf.pulling_tension(weight, mu, wrap), (0.42,), (1.0,))
-    np.testing.assert_allclose(pulled, weight * np.exp(0.42 * wrap), rtol=1e-14)
+    pulled, slope = jax.jvp(lambda mu: cddf.pulling_tension(weight, mu, wrap), (mu,), (np.ones(5),))
+    np.testing.assert_allclose(pulled, [19.3428, 37.4144, 7.0, 7.0, 0.0], rtol=1e-5)
+    np.testing.assert_allclose(pulled, weight * np.exp(mu * wrap), rtol=1e-14)
     np.testing.assert_allclose(slope, wrap * pulled, rtol=1e-14)

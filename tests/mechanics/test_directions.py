@@ -79,17 +79,17 @@ def test_the_slope_holds_the_directions():
 
 
 def test_stated_directions_win():
-    found = cddf.solve(PAIR, (75.0, 20.0), direction=(None, +1))
+    """Where a tendon travels against its direction, that is said and not raised."""
     both_in = cddf.solve(PAIR, (75.0, 20.0), direction=+1)
+    assert both_in.status == CONTRADICTED
+    assert "flip it or leave it out" in cddf.in_words(both_in.status)
+    assert both_in.tendon_displacement[1] < 0
+    found = cddf.solve(PAIR, (75.0, 20.0), direction=(None, +1))
     np.testing.assert_array_equal(found.direction, (1, 1))
     np.testing.assert_array_equal(found.direction_contradicted, (False, True))
     np.testing.assert_array_equal(found.tip_tension, both_in.tip_tension)
-
-
-def test_a_single_tendon_slides_in():
-    """Under any loads: its direction does not depend on them."""
-    for direction in (None, [None]):
-        np.testing.assert_array_equal(cddf.solve(paper_body("exact"), 5.0, direction=direction).direction, [1])
+    # without tension there is no friction whose sign could be wrong
+    assert cddf.solve(PAIR, (75.0, 0.0), direction=+1).status == SUCCESSFUL
 
 
 @pytest.mark.parametrize(
@@ -121,16 +121,3 @@ def test_a_sweep_and_a_fit_without_directions():
     fit = cddf.fit(PAIR, table)
     assert fit.value["friction_coefficient"] == pytest.approx(0.42, rel=1e-7)
     assert fit.value["youngs_modulus"] == pytest.approx(1.4e6, rel=1e-7)
-
-
-@pytest.mark.parametrize(
-    ("direction", "message"),
-    [
-        ((None, None, 1), "solve: direction must be a number or one per tendon (2), got 3 entries"),
-        ((None, (1, 1)), "solve: direction must be a number or one per tendon (2), got shape (2,)"),
-    ],
-)
-def test_directions_of_a_wrong_shape(direction, message):
-    with pytest.raises(ValueError, match="direction must be") as error:
-        cddf.solve(PAIR, 20.0, direction=direction)
-    assert str(error.value) == message

@@ -44,14 +44,6 @@ def cross(a, b):
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
-def tendon_points(body, fields):
-    """U + sigma d n, (tendons, points, 2)."""
-    phi = np.asarray(fields.heading)
-    n = np.stack([-np.sin(phi), np.cos(phi)], -1)
-    offsets = [np.asarray(tendon.side * tendon.offset(fields.arc_length)) for tendon in body.tendons]
-    return np.array([np.asarray(fields.position) + d[..., None] * n for d in offsets])
-
-
 def imbalance(case, nodes):
     """Integral of both forces + T t_c at the base - T t_c at the tip, over the largest tension."""
     body, solution = solved(case, nodes)
@@ -112,7 +104,8 @@ def literal_moment(body, solution, points):
     h = s[1] - s[0]
     axis = np.stack([np.cos(phi), np.sin(phi)], -1)
     run = np.concatenate([np.zeros((1, 2)), np.cumsum((axis[1:] + axis[:-1]) / 2 * h, axis=0)])
-    arm = tendon_points(body, along) - np.asarray(along.position) + run  # from the base, per tendon
+    normal = np.stack([-np.sin(phi), np.cos(phi)], -1)
+    arm = np.array([tendon.side * tendon.offset(s)[:, None] * normal for tendon in body.tendons]) + run  # from the base
     force = np.asarray(along.normal_force + along.friction_force)
     tip_force = -np.asarray(along.tension)[:, -1, None] * tangents(body, along)[:, -1]
     moments = []

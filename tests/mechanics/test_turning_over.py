@@ -159,21 +159,24 @@ CENTRE = np.array([6.0, 6.0, 0.42, 1.4, 12.0, 8.0, 9.0, 11.0])
 SLIDING = (+1, -1)
 
 
-def tip_of(kinematics, direction=SLIDING):
+def told_by(numbers):
+    """The pulls, the offsets, and what else `manipulator` and `plain` take."""
+    pulls, mu, E, (b1, t1, b2, t2) = 10 * numbers[:2], numbers[2], numbers[3], 1e-3 * numbers[4:]
+    return pulls, (Offset(b1, t1), Offset(b2, t2)), {"friction": mu, "youngs_modulus": 1e6 * E}
+
+
+def tip_of(kinematics):
     def tip(numbers):
-        pulls, mu, E, (b1, t1, b2, t2) = 10 * numbers[:2], numbers[2], numbers[3], 1e-3 * numbers[4:]
-        offsets = Offset(b1, t1), Offset(b2, t2)
-        body = manipulator(kinematics, *offsets, friction=mu, youngs_modulus=1e6 * E)
-        solution = cddf.solve(body, pulls, direction=direction, throw=False)
+        pulls, offsets, others = told_by(numbers)
+        solution = cddf.solve(manipulator(kinematics, *offsets, **others), pulls, direction=SLIDING, throw=False)
         return jnp.concatenate([solution.tip_tension / 10, 10 * solution.tip_position, solution.tip_angle[None]])
 
     return tip
 
 
 def reference_tip(kinematics, numbers):
-    pulls, mu, E, (b1, t1, b2, t2) = 10 * numbers[:2], numbers[2], numbers[3], 1e-3 * numbers[4:]
-    body = plain(kinematics, Offset(b1, t1), Offset(b2, t2), friction=mu, youngs_modulus=1e6 * E)
-    found = loaded_reference(body, pulls, direction=SLIDING)
+    pulls, offsets, others = told_by(numbers)
+    found = loaded_reference(plain(kinematics, *offsets, **others), pulls, direction=SLIDING)
     return np.concatenate([found.tip_tension / 10, 10 * found.tip_position, [found.tip_angle]])
 
 

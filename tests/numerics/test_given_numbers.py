@@ -42,7 +42,9 @@ REFUSED = {
 @pytest.mark.parametrize("name", REFUSED)
 def test_what_is_no_plain_number(name):
     given, words = REFUSED[name]
-    assert refused(check_numbers, "load", given).startswith(f"load: {words} cannot be used, got ")
+    said = refused(check_numbers, "load", given)
+    assert said.startswith(f"load: {words} cannot be used, got ")
+    assert ("pint: value.to_base_units().magnitude" in said) == ("unit" in words)
 
 
 def test_plain_numbers():
@@ -51,13 +53,6 @@ def test_plain_numbers():
     for given in [*plain, *series, np.array([1.0, None], object), jnp.ones(2), jnp.ones(2, jnp.bfloat16)]:
         check_numbers("load", given)
     jax.jit(lambda traced: check_numbers("load", [traced, 1.0]))(1.0)
-
-
-def test_the_remedy_for_a_unit_gives_the_number_in_si_units():
-    with pytest.raises(ValueError, match=r"pint: value.to_base_units\(\).magnitude"):
-        check_numbers("load", PULL)
-    # the pound-force is 0.45359237 kg (international pound, 1959) times 9.80665 m/s^2 (CGPM, 1901)
-    assert PULL.to_base_units().magnitude == pytest.approx(75 * 0.45359237 * 9.80665, rel=1e-15)
 
 
 TABLE = {"base_tension": [10.0, 20.0], "tip_tension": [8.0, 15.0]}

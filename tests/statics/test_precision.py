@@ -20,20 +20,22 @@ def assert_all_single(tree):
     assert not kinds & {"float64", "complex128"}
 
 
-CASES = {
-    "published": (paper_body("published"), 75.0, +1),
-    "exact": (paper_body("exact"), 75.0, +1),
-    "slanted pair": (two_slanted_tendons(), (75.0, 20.0), (+1, -1)),
-}
+LOADS = cddf.Loads((0.5, -4.0), -0.05, (1.0, -9.81))
 
 
 @pytest.mark.parametrize(
-    "case", [pytest.param(case, marks=pytest.mark.slow) if case == "slanted pair" else case for case in CASES]
+    ("body", "tension", "direction", "loads"),
+    [
+        (paper_body("published"), 75.0, +1, None),
+        (paper_body("exact"), 75.0, +1, None),
+        pytest.param(two_slanted_tendons(), (75.0, 20.0), (+1, -1), None, marks=pytest.mark.slow),
+        pytest.param(paper_body("exact", density=1070.0), 60.0, +1, LOADS, marks=pytest.mark.slow),
+    ],
+    ids=["published", "exact", "slanted pair", "loads"],
 )
-def test_numbers_in_single_precision_stay_there(case):
-    body, tension, direction = CASES[case]
-    double = cddf.solve(body, tension, direction=direction)
-    ours = cddf.solve(single(body), jnp.asarray(tension, jnp.float32), direction=direction)
+def test_numbers_in_single_precision_stay_there(body, tension, direction, loads):
+    double = cddf.solve(body, tension, loads, direction=direction)
+    ours = cddf.solve(single(body), jnp.asarray(tension, jnp.float32), single(loads), direction=direction)
     assert_all_single(ours)
     np.testing.assert_allclose(ours.tip_tension, double.tip_tension, rtol=SINGLE)
     np.testing.assert_allclose(ours.tip_position, double.tip_position, atol=SINGLE * 0.14)

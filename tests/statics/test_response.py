@@ -10,13 +10,14 @@ import cddf_jax as cddf
 LENGTH, d, MU, E = (PAPER[name] for name in ("length", "tendon_offset", "friction_coefficient", "youngs_modulus"))
 LOADS = cddf.Loads(tip_force=(1.0, -2.0), tip_moment=0.02)
 # one structure of each kinematics: one tendon, and two of which one slides out
-EXACT = {"body": paper_body("exact"), "tension": 40.0, "direction": +1}
-PUBLISHED = {"body": paper_body("published", num_tendons=2), "tension": (60.0, 20.0), "direction": (+1, -1)}
-CASES = {"exact": (EXACT, paper_plain("exact")), "published": (PUBLISHED, paper_plain("published", (+1, -1)))}
+CASES = {
+    "exact": (paper_body("exact"), paper_plain("exact"), 40.0, +1),
+    "published": (paper_body("published", num_tendons=2), paper_plain("published", (+1, -1)), (60.0, 20.0), (+1, -1)),
+}
 
 
-def compliance_of(case, **changes):
-    body, tension, direction = case["body"], case["tension"], case["direction"]
+def compliance_of(name, **changes):
+    body, _, tension, direction = CASES[name]
     return np.asarray(cddf.tip_compliance(replaced(body, **changes), tension, LOADS, direction=direction))
 
 
@@ -35,28 +36,27 @@ def test_a_uniform_cantilever():
 @pytest.mark.parametrize("name", CASES)
 def test_against_differences_of_the_reference(name):
     """Central differences of SciPy's shooting, steps h of 1e-3 N and 1e-4 N m: error h^2, noise 1e-10 / h."""
-    case, plain = CASES[name]
+    _, plain, tension, direction = CASES[name]
     wrench = np.array([1.0, -2.0, 0.02])
 
     def pose(wrench):
         loads = PlainLoads((wrench[0], wrench[1]), wrench[2])
-        found = loaded_reference(plain, case["tension"], loads, direction=case["direction"])
+        found = loaded_reference(plain, tension, loads, direction=direction)
         return np.array([*found.tip_position, found.tip_angle])
 
     steps = np.diag([1e-3, 1e-3, 1e-4])
     columns = [(pose(wrench + h) - pose(wrench - h)) / (2 * np.max(h)) for h in steps]
-    np.testing.assert_allclose(compliance_of(case), np.stack(columns, axis=1), rtol=2e-5, atol=1e-8)
+    np.testing.assert_allclose(compliance_of(name), np.stack(columns, axis=1), rtol=2e-5, atol=1e-8)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_reciprocity_and_its_loss(name):
     """At constant tensions a frictionless body has a potential, so C is symmetric (Maxwell, Betti)."""
-    case, _ = CASES[name]
-    smooth = compliance_of(case, friction_coefficient=0.0)
+    smooth = compliance_of(name, friction_coefficient=0.0)
     np.testing.assert_allclose(smooth, smooth.T, rtol=1e-9)
     assert np.all(np.linalg.eigvalsh(smooth) > 0)
-    rough = compliance_of(case)
+    rough = compliance_of(name)
     assert np.max(np.abs(rough - rough.T) / np.abs(rough)) > 0.02
 
 
