@@ -68,6 +68,14 @@ def test_two_tendons(first, second, end, direction, tension):
     compare(paper_with(replace(one, end=end), other), plain, tension, direction)
 
 
+@pytest.mark.slow
+def test_three_tendons_with_their_own_friction():
+    offsets, friction, sides = (0.010, 0.012, 0.008), (0.42, 0.1, 0.3), (+1, -1, +1)
+    tendons = [cddf.Tendon(*numbers[:2], None, numbers[2]) for numbers in zip(offsets, sides, friction, strict=True)]
+    plain = paper_plain("exact", sides, offsets=[constant(d) for d in offsets], friction=list(friction))
+    compare(paper_with(*tendons), plain, (40.0, 10.0, 15.0), (+1, -1, +1))
+
+
 KNOTS = np.array([0.0, 0.05, 0.10, LENGTH])
 
 

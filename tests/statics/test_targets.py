@@ -69,6 +69,7 @@ PROGRAMS = {
         [(0.012, RIGID, 0.0), (soft_displacement(), SOFT, FREE), (-0.002, RIGID, 0.0)],
     ),
     "tip_angle": (paper, cddf.TipAngle, [(1.0,), (0.5,), (-0.5,), (12.0,), (np.nan,)]),
+    "tip_tension": (paper, cddf.TipTension, [(45.0,)]),
     "curvature": (paper, cddf.CurvatureAt, [(10.0, 0.09), (-3.0, 0.05), (5.0, -0.01), (5.0, 0.15)]),
 }
 
@@ -117,6 +118,7 @@ def lane_of(name, wanted):
 CASES = {
     "displacement": (0.012, lambda x: np.expm1(MU * x / d) / A),
     "tip_angle": (1.0, lambda x: np.expm1(MU * x) / A),
+    "tip_tension": (45.0, lambda x: x / (1 - A * x)),
     "curvature": (10.0, lambda x: curvature_tension(x, 0.09)),
 }
 
