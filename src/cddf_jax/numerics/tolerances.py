@@ -19,7 +19,7 @@ NOT_LOCKED = 1e-6  # least r, so that the logarithm is finite where a tendon loc
 
 # error estimate
 ACCURACY = 1e-5  # a solve with a larger truncation error is not called successful
-SAFETY = 2.2  # factor on what the nodes miss, so that the estimate is not below the error
+SAFETY = 2.0  # factor on what the nodes miss, so that the estimate is not below the error
 AT_KINK = 0.045  # what a kink adds to it, over the last coefficients of the axis
 AT_KINKS = 0.6  # likewise where there may be several in one element
 LEAST_RATIO = 1e-3  # of r at the tip: errors of a tendon that slides out count 1 / r times, but this much at most
