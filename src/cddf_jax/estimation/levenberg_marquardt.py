@@ -176,7 +176,8 @@ def minimise(
             if ended or steps >= problem.max_steps or time.monotonic() > watch.deadline:
                 return minimum.outcome
             if SHOWN.get():
-                here.what = f"{minimum.in_words}; Ctrl-C ends it with the best so far"
+                how_to_end = "; Ctrl-C ends it with the best so far" if held is None else ""  # a profile has none
+                here.what = minimum.in_words + how_to_end
 
 
 def _has_stalled(costs: Sequence[float], noteworthy: float) -> bool:

@@ -93,7 +93,8 @@ def given_path(
 
 
 def _actuation(manipulator: Manipulator, base_tension: Driven) -> tuple[Array, Array, tuple[Goal, ...]]:
-    count, entries = manipulator.num_tendons, base_tension if isinstance(base_tension, tuple | list) else [base_tension]
+    count = manipulator.num_tendons
+    entries = base_tension if isinstance(base_tension, tuple | list) else [base_tension]
     for entry in entries:
         if isinstance(entry, eqx.Module) and not isinstance(entry, AlongAPath):
             kinds = ", ".join(kind.__name__ for kind in get_args(AlongAPath))

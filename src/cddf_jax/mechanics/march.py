@@ -298,6 +298,7 @@ class FixedPoint(eqx.Module):
         return Solution(states, *ended, 0.0 if missed is None else jnp.sum(missed))
 
     def tolerance_of(self, problem: Problem) -> float:
+        """The relative change at which the iteration stops."""
         return max(1e-12, round_off(problem.elements.edges.dtype)) if self.tolerance is None else self.tolerance
 
 

@@ -5,7 +5,7 @@ MAX_ITERATIONS = 64  # of a linear fixed point: one that does not settle shows a
 CURVATURE_STEPS = 8  # from the curvature of parallel tendons: enough for rounding errors of any slanted tendon
 STRAIN_STEPS = 6  # from the strain at rest: likewise for a cross-section in space
 JOINT_STEPS = 6  # of r beyond a joint: r changes the angle there by mu d d' kappa only
-REFINED = 1e-9  # change that counts as the last one before the first march on finer nodes: that march removes 3e-11
+REFINED = 1e-9  # the change that stands before the first march on finer nodes: so a change of 3e-11 there is the last
 LAST_GAIN = 64.0  # times the tolerance of the march: above it another march is made, also where marches converge fast
 
 # directions of sliding
