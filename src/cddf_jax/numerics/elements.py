@@ -9,7 +9,7 @@ nodes, each divided at the root of the rate.
 """
 
 from collections.abc import Callable
-from functools import lru_cache, reduce
+from functools import lru_cache, partial, reduce
 from typing import NamedTuple, TypeVar
 
 import equinox as eqx
@@ -383,8 +383,8 @@ class Elements(eqx.Module):
         """The polynomials through the nodes, at the nodes of elements into which each of these is divided equally."""
         parts = finer.nodes.shape[0] // self.nodes.shape[0]
         places = (np.arange(parts)[:, None] + finer.rule.nodes).ravel() / parts
-        starts, ends = self.at_starts_and_ends(values)
-        return self.resample(starts, values, ends, places).reshape(*finer.nodes.shape, *values.shape[2:])
+        basis = legendre.legvander(2 * places - 1, self.order - 1) @ self.rule.series
+        return jax.vmap(partial(times, basis))(values).reshape(*finer.nodes.shape, *values.shape[2:])
 
     def interpolate(self, start: Tree, values: Tree, end: Tree, arc_length: Float[Array, ""]) -> Tree:
         """The polynomials through start, nodes and end of the element that holds `arc_length`.

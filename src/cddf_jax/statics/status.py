@@ -91,5 +91,7 @@ def in_words(status: ArrayLike) -> str:
 
 def first_of(*cases: tuple[Bool[Array, "*lanes"], Status | Int[Array, "*lanes"]]) -> Int[Array, "*lanes"]:
     """The status of the first case that holds; successful where none does."""
-    holds, statuses = zip(*cases, strict=True)
-    return jnp.select(holds, statuses, jnp.int32(Status.successful))
+    found = jnp.int32(Status.successful)
+    for holds, status in reversed(cases):
+        found = jnp.where(holds, jnp.int32(status), found)
+    return found
