@@ -44,7 +44,6 @@ class Rule(NamedTuple):
     points: np.ndarray  # (p + 2,) 0, the nodes and 1
     step: np.ndarray  # (p + 1,) widths of the sub-intervals
     quartics: np.ndarray  # (5, p + 1, p) values at the nodes -> coefficients, over sub-intervals of width 1
-    gains: np.ndarray  # (p + 1, p) likewise the integral of the polynomial over each sub-interval
     inner: np.ndarray  # (p + 1, q, p) likewise the polynomial at `POINTS_BETWEEN` Gauss points in each sub-interval
 
 
@@ -73,7 +72,6 @@ def gauss_rule(order: int) -> Rule:
         points=(points + 1) / 2,
         step=step[:, 0],
         quartics=_quartics_between(values, 2 * step * slopes[:-1], 2 * step * slopes[1:], gains / step),
-        gains=gains,
         inner=legendre.legvander(between, order - 1) @ series,
     )
 
@@ -121,8 +119,9 @@ def sums(width: Float[Array, ""], gains: Float[Array, "q *k"]) -> Totals:
 
 
 def gains(rate: Float[Array, "p *k"]) -> Float[Array, "q *k"]:
-    """The integral of a rate over each sub-interval."""
-    return times(gauss_rule(rate.shape[0]).gains, rate)
+    """The integral of a rate over each sub-interval, which is that of its quartics."""
+    curve = _quartics(rate)
+    return _along(gauss_rule(rate.shape[0]).step, curve[0]) * _integral(curve, 1.0)
 
 
 @jax.custom_jvp
@@ -139,11 +138,9 @@ def _(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
 
 def _gains_by_sign(rate: Float[Array, "p *k"], values: Float[Array, "p *k"]) -> Float[Array, "q *k"]:
     """The integral of values times the sign of a rate, which is 1 where the rate is 0."""
-    rule = gauss_rule(rate.shape[0])
-    curve = _quartics(rate)
+    curve, gain = _quartics(rate), gains(values)
     crosses, root = _roots(curve)
-    gain = gains(values)
-    before = _along(rule.step, gain) * _integral(_quartics(values), root)
+    before = _along(gauss_rule(rate.shape[0]).step, gain) * _integral(_quartics(values), root)
     left = (curve[0] < 0) | (~crosses & (sum(curve) < 0))
     signed = jnp.where(crosses, 2 * before - gain, gain)
     return jnp.where(left, -signed, signed)
@@ -168,7 +165,7 @@ def _rate(curve: Quartic, t: Array) -> Array:
     return b + t * (2 * c + t * (3 * d + 4 * t * e))
 
 
-def _integral(curve: Quartic, t: Array) -> Array:
+def _integral(curve: Quartic, t: Array | float) -> Array:
     a, b, c, d, e = curve
     return t * (a + t * (b / 2 + t * (c / 3 + t * (d / 4 + t * e / 5))))
 
@@ -195,10 +192,8 @@ def first_root(values: Float[Array, "p *k"]) -> Float[Array, "*k"]:
     """The first place in [0, 1] where functions change their sign; 1 where they do not. Derivatives of any order."""
     rule = gauss_rule(values.shape[0])
     crosses, root = _roots(_quartics(values))
-    count = times(np.tril(np.ones((len(crosses), len(crosses)))), crosses.astype(values.dtype))
-    first = crosses & (count < 1.5)
-    place = _along(rule.points[:-1], root) + _along(rule.step, root) * root
-    return jnp.where(jnp.any(first, axis=0), jnp.sum(jnp.where(first, place, 0.0), axis=0), 1.0)
+    places = _along(rule.points[:-1], root) + _along(rule.step, root) * root
+    return jnp.min(jnp.where(crosses, places, 1.0), axis=0)
 
 
 @first_root.defjvp
@@ -221,8 +216,7 @@ def _around(values: Float[Array, "p *k"], place: Float[Array, "*k"]) -> tuple[Ru
 def total_to(values: Float[Array, "p *k"], place: Float[Array, "*k"]) -> Float[Array, "*k"]:
     """The integral from the start of an element of width 1 to a place in [0, 1]."""
     rule, _, t = _around(values, place)
-    parts = _along(rule.step, t) * _integral(_quartics(values), jnp.clip(t, 0.0, 1.0))
-    return jnp.sum(jnp.where(t >= 1, gains(values), parts), axis=0)
+    return jnp.sum(_along(rule.step, t) * _integral(_quartics(values), jnp.clip(t, 0.0, 1.0)), axis=0)
 
 
 @jax.custom_jvp
@@ -435,6 +429,8 @@ def slope_in_element(width: Float[Array, ""], values: Float[Array, "p *k"]) -> F
 
 def smooth_pieces(length: Float[Array, ""], breakpoints: Float[Array, " n"]) -> Float[Array, " ends"]:
     """Base, breakpoints and tip in increasing order. A breakpoint at an end of the body keeps its own derivative."""
+    if not breakpoints.size:
+        return jnp.stack([jnp.zeros_like(length), length])
     breaks = breakpoints.astype(length.dtype)
     breaks = jnp.where(breaks > length, length, jnp.where(breaks < 0, 0.0, breaks))
     return jnp.sort(jnp.concatenate([jnp.zeros_like(length)[None], breaks, length[None]]))

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 
 from ..mechanics.problem import Moment, Number
 from ..numerics import tolerances as tol
-from ..numerics.arrays import decided, largest_size
-from .shooting import Flag, Iterate, LoadedBody, Values, along_moment
+from ..numerics.arrays import all_finite, decided, largest_size
+from .shooting import Flag, Iterate, LoadedBody, Values
 
 
 class LoadPath(NamedTuple):
@@ -32,7 +32,7 @@ class _Point(NamedTuple):
 
     fraction: Number
     values: Values
-    slope: Values  # with respect to the load fraction
+    slope: Values  # with respect to the load fraction; it has no leading axis
     bend: Values  # half the second derivative, as the slope changed in the last step; 0 at the start
     strain: jax.Array | None  # as in an iterate
     stable: Flag
@@ -41,13 +41,30 @@ class _Point(NamedTuple):
 class _Continuation(NamedTuple):
     point: _Point  # the last equilibrium that was accepted
     iterate: Iterate  # of the next one
-    step: Number  # to it, of the loads
-    fraction: Number  # at which it is tried
+    step: Number  # to it, of the loads; 0 at the end of the path
     num_steps: Number
     num_tries: Number
-    arrived: Flag  # at the full loads
-    ended: Flag  # before them
-    resolved: Flag
+
+    @property
+    def first(self) -> Flag:
+        """Whether the body without loads is tried."""
+        return self.num_tries == 0
+
+    @property
+    def fraction(self) -> Number:
+        """At which the next equilibrium is tried."""
+        last, step = self.point.fraction, self.step
+        return jnp.where(self.first, 0.0, jnp.where(step >= 1.0 - last, 1.0, last + step))
+
+    @property
+    def arrived(self) -> Flag:
+        """Whether the full loads are reached."""
+        return self.point.fraction >= 1.0
+
+    @property
+    def ended(self) -> Flag:
+        """Whether the path ended before them."""
+        return (self.step <= 0.0) & ~self.arrived
 
 
 def follow_loads(body: LoadedBody, zero: Number) -> tuple[LoadPath, Iterate]:
@@ -79,12 +96,12 @@ def follow_loads(body: LoadedBody, zero: Number) -> tuple[LoadPath, Iterate]:
     point, last = end.point, end.iterate
     converged = end.arrived & last.settled
     found = LoadPath(
-        base_moment=jnp.where(converged, last.values.moment, point.values.moment),
+        base_moment=body.moment(jnp.where(converged, last.values, point.values)),
         fraction=point.fraction,
         num_steps=end.num_steps,
         converged=converged,
         stable=jnp.where(converged, body.is_stable(last), point.stable),
-        resolved=end.resolved & last.sane & (last.settled | ~end.arrived),
+        resolved=last.sane & (last.settled | ~end.arrived) & ~(end.ended & (end.num_tries <= 1)),
     )
     return found, last
 
@@ -92,25 +109,25 @@ def follow_loads(body: LoadedBody, zero: Number) -> tuple[LoadPath, Iterate]:
 def _start(body: LoadedBody, zero: Number) -> _Continuation:
     """Before the first try, which is the body without loads."""
     first = body.first(zero)
-    still = jax.tree.map(jnp.zeros_like, first.values)
-    false, true = zero > 0, zero == 0
-    point = _Point(zero, first.values, still, still, first.strain, true)
-    return _Continuation(point, first, zero + 1.0, zero, zero, zero, false, false, true)
+    still = jnp.zeros_like(first.values) + zero
+    point = _Point(zero, first.values, still, still, first.strain, stable=zero == 0)
+    return _Continuation(point, first, zero + 1.0, zero, zero)
 
 
 def _next_try(body: LoadedBody, state: _Continuation) -> _Continuation:
     """Accept the step and predict the next one, or shorten it."""
-    first = state.num_tries == 0
+    first = state.first
     reached, on_path, missed = _reached(body, state)
-    turned = jnp.where(first, 0.0, largest_size(reached.values.heading - state.point.values.heading))
+    turned = jnp.where(first, 0.0, largest_size(body.headings(reached.values - state.point.values)))
     accepted = decided(on_path & (missed <= tol.LARGEST_MISS) & (turned <= tol.LARGEST_TURN))
     point = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), reached, state.point)
 
     step = state.step * _step_factor(missed, accepted, on_path)
-    step = jnp.minimum(jnp.minimum(step, _gentle_step(point, first)), 1.0 - point.fraction)
+    step = jnp.minimum(jnp.minimum(step, _gentle_step(body, point, first)), 1.0 - point.fraction)
     tries, arrived = state.num_tries + 1.0, accepted & (point.fraction >= 1.0)
     ended = ~arrived & ((~accepted & ((step < tol.LEAST_STEP) | first)) | (tries >= tol.MAX_TRIES))
-    predicted = _predict(point, jnp.where(ended | arrived, 0.0, step), state.iterate)
+    step = jnp.where(ended, 0.0, step)
+    predicted = _predict(point, step, state.iterate)
     return _Continuation(
         point,
         predicted._replace(  # at the end it is the iterate itself
@@ -119,29 +136,22 @@ def _next_try(body: LoadedBody, state: _Continuation) -> _Continuation:
             change=jnp.where(arrived, state.iterate.change, 0.0),
         ),
         step,
-        fraction=jnp.where(step >= 1.0 - point.fraction, 1.0, point.fraction + step),
         num_steps=state.num_steps + jnp.where(accepted & ~first, 1.0, 0.0),
         num_tries=tries,
-        arrived=arrived,
-        ended=ended,
-        resolved=state.iterate.sane & (accepted | ~first),
     )
 
 
 def _reached(body: LoadedBody, state: _Continuation) -> tuple[_Point, Flag, Number]:
     """The equilibrium near an iterate, whether it may lie on the path, and the miss of its prediction, rad."""
-    first, old, iterate = state.num_tries == 0, state.point, state.iterate
-    follows = body.moment_that_follows(iterate.residual_slopes)
-    slope = jax.tree.map(lambda slopes: slopes[-1] + along_moment(slopes, follows), iterate.slopes)
-    slope = slope._replace(moment=follows)
-    half = jnp.where(first, 0.0, 0.5 / jnp.where(first, 1.0, state.fraction - old.fraction))
-    bend = jax.tree.map(lambda new, before: half * (new - before), slope, old.slope)
+    first, old, iterate = state.first, state.point, state.iterate
+    step, slope = state.fraction - old.fraction, body.slope_that_follows(iterate)
+    half = jnp.where(first, 0.0, 0.5 / jnp.where(first, 1.0, step))
+    bend = half * (slope - old.slope)
     new = _Point(state.fraction, iterate.values, slope, bend, iterate.strain, body.is_stable(iterate))
-    step = state.fraction - old.fraction
-    expected = step * (old.slope.heading + step * old.bend.heading)
-    missed = largest_size(iterate.values.heading - old.values.heading - expected)
+    expected = step * (old.slope + step * old.bend)
+    missed = largest_size(body.headings(iterate.values - old.values - expected))
     stays = first | (new.stable == old.stable) | (state.step <= tol.CRITICAL_STEP)
-    stays &= jnp.isfinite(sum(jnp.sum(x) for x in jax.tree.leaves(slope)))
+    stays &= all_finite(slope)
     return new, iterate.near & stays, jnp.where(first, 0.0, missed)
 
 
@@ -152,19 +162,17 @@ def _step_factor(missed: Number, accepted: Flag, on_path: Flag) -> Number:
     return jnp.where(accepted, jnp.clip(ideal, 0.3, 4.0), shorter)
 
 
-def _gentle_step(point: _Point, first: Flag) -> Number:
+def _gentle_step(body: LoadedBody, point: _Point, first: Flag) -> Number:
     """The step, of the loads, in which the body turns as far as it may."""
     turn = jnp.where(first, tol.FIRST_TURN, 0.8 * tol.LARGEST_TURN)
-    return turn / jnp.maximum(largest_size(point.slope.heading), 0.1 * tol.LARGEST_TURN)
+    return turn / jnp.maximum(largest_size(body.headings(point.slope)), 0.1 * tol.LARGEST_TURN)
 
 
 def _predict(point: _Point, step: Number, iterate: Iterate) -> Iterate:
     """The next iterate, to second order in the step; it takes over the slopes of the last one."""
-    slopes = jax.tree.map(lambda x: jnp.where(jnp.isfinite(x), x, 0.0), iterate.slopes)
-    values = jax.tree.map(lambda x, a, b: x + step * (a + step * b), point.values, point.slope, point.bend)
     return iterate._replace(
-        values=values,
-        slopes=slopes,
+        values=point.values + step * (point.slope + step * point.bend),
+        slopes=jnp.where(jnp.isfinite(iterate.slopes), iterate.slopes, 0.0),
         strain=point.strain,
         lost=iterate.lost & False,
         num_iterations=0.0 * iterate.num_iterations,

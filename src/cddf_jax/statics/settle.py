@@ -156,7 +156,7 @@ def _loaded(setup: Setup) -> Settled:
     start = unsettled(setup)
     rough, body = (LoadedBody(problem, setup.iteration) for problem in (setup.rough, setup.problem))
     path, end = follow_loads(rough, start.num_iterations)
-    pull = state_at_nodes(rough.problem, end.values.nodal, end.strain).pull
+    pull = state_at_nodes(rough.problem, rough.nodal(end.values), end.strain).pull
     slopes = rough.slopes_by_moment(end, body)
     found, num_iterations = rough.refine(end, slopes, body, path.fraction)
     path = path._replace(

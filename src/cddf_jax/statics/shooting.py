@@ -23,6 +23,7 @@ from ..mechanics.problem import (
     Number,
     Problem,
     Solution,
+    line_up,
     loaded_to,
     nodal,
     state_at_nodes,
@@ -36,22 +37,17 @@ Tree = TypeVar("Tree")
 Flag = Bool[Array, ""]
 
 
-class Values(NamedTuple):
-    """The values of a loaded body. Slopes have a leading axis: by components of M_ext(0), then loads or tensions."""
-
-    moment: Moment  # M_ext(0) over its scale
-    nodal: Nodal
-    # phi at the nodes and at last at the tip, rad; in space twice the quaternion, whose change is an angle
-    heading: Float[Array, "*points_and_components"]
+# The values of a loaded body in one array, as XLA compiles a program for every array that a loop carries. Rows: r of
+# each tendon, M_ext over its scale, and the heading; in space twice the quaternion, whose change is an angle. Columns:
+# base, nodes, tip. Slopes have a leading axis: by components of M_ext(0) over its scale, then by loads or tensions.
+Values = Float[Array, "*slopes rows points"]
 
 
 class Iterate(NamedTuple):
     """One iterate at a load fraction: each iteration brings it nearer to the equilibrium there."""
 
     values: Values
-    slopes: (
-        Values  # of the march before, for a fixed moment: with respect to M_ext(0), and to the loads or the tensions
-    )
+    slopes: Values  # of the march before
     residual_slopes: Float[Array, "slopes *components"]  # of M_ext(L) - m over the moment scale
     strain: Array | None  # the elastic strain, approximately; None where it has a closed form
     near: Flag  # near enough to the equilibrium to take the next step from here
@@ -118,16 +114,43 @@ class LoadedBody(NamedTuple):
 
     def first(self, zero: Number) -> Iterate:
         """The body without friction and loads; `zero` varies over the same devices as all numbers."""
-        problem, nodes = self.problem, unbent(self.problem).nodes
-        values = nodal(problem, nodes)
-        count = max(problem.base_moment.size, 1) + 1
-        points = values.ratio.shape[0] * values.ratio.shape[1] + 1
-        heading = jnp.zeros((points, *np.shape(problem.geometry.upright)))
-        start = varying_as(Values(0.0 * problem.base_moment, values, heading.astype(zero.dtype)), zero)
-        strain = varying_as(nodes.strain, zero)
-        slopes = jax.tree.map(lambda x: jnp.zeros((count, *x.shape), x.dtype) + zero, start)
-        none, true = zero > 0, zero == 0
-        return Iterate(start, slopes, slopes.moment, strain, none, none, none, none, true, zero, zero)
+        problem, points = self.problem, self.problem.elements.nodes.size + 2
+        components = max(problem.base_moment.size, 1)
+        upright = np.ravel((2.0 if problem.geometry.has_frames else 1.0) * problem.geometry.upright)
+        row = np.concatenate([np.ones(problem.base_tension.size), np.zeros(components), upright])
+        start = jnp.asarray(np.tile(row[:, None], points), zero.dtype) + zero
+        slopes = jnp.zeros((components + 1, *start.shape), start.dtype) + zero
+        by = jnp.zeros((components + 1, *problem.base_moment.shape), start.dtype) + zero
+        strain, none, true = varying_as(unbent(problem).nodes.strain, zero), zero > 0, zero == 0
+        return Iterate(start, slopes, by, strain, none, none, none, none, true, zero, zero)
+
+    def nodal(self, values: Values, finer: "LoadedBody | None" = None) -> Nodal:
+        """The unknowns of a march; those of `finer` elements, where they are given."""
+        elements = self.problem.elements
+        inner = jnp.moveaxis(values[..., 1:-1], -2, -1)
+        inner = inner.reshape(*values.shape[:-2], *elements.nodes.shape, -1)
+        if finer is not None:
+            refined = partial(elements.refined, finer=finer.problem.elements)
+            inner = refined(inner) if values.ndim == 2 else jax.vmap(refined)(inner)
+        ratio, moment, heading = jnp.split(inner, self._rows, axis=-1)
+        moment = moment.reshape(*moment.shape[:-1], *self.problem.base_moment.shape)
+        return Nodal(ratio, moment, 0.5 * heading if self.problem.geometry.has_frames else None)
+
+    def moment(self, values: Values) -> Moment:
+        """M_ext(0) over its scale."""
+        return values[slice(*self._rows), 0].reshape(self.problem.base_moment.shape)
+
+    def headings(self, values: Values) -> Array:
+        """The headings at base, nodes and tip."""
+        upright = self.problem.geometry.upright.shape
+        found = jnp.moveaxis(values[..., self._rows[1] :, :], -2, -1)
+        return found.reshape(*found.shape[:-1], *upright)
+
+    @property
+    def _rows(self) -> tuple[int, int]:
+        """Where the moment begins and ends among the rows of the values; static."""
+        tendons = self.problem.base_tension.size
+        return tendons, tendons + max(self.problem.base_moment.size, 1)
 
     def iterate(self, before: Iterate, fraction: Number, by_loads: Flag) -> Iterate:
         """One march with its slopes, then one Newton step of M_ext(0); all other values change by their slopes.
@@ -139,18 +162,17 @@ class LoadedBody(NamedTuple):
                 respect to a factor on all base tensions.
         """
         new = self._march_with_slopes(before, fraction, by_loads)
-        moment, solution = before.values.moment, new.solution
-        newton, off = _newton_step(self.problem, moment, new.residual, new.slopes.heading, new.residual_slopes)
+        moment, turned, solution = self.moment(before.values), self.headings(new.slopes), new.solution
+        newton, off = _newton_step(self.problem, moment, new.residual, turned, new.residual_slopes)
         # where the march is less accurate than the residual is large, the residual may be an error of the march
         inaccurate = (solution.residual > magnitude(new.residual)) & ~solution.converged
         step = jnp.where(inaccurate, 0.0, newton)
-        moved = jax.tree.map(lambda x, slope: x + along_moment(slope, step), new.values, new.slopes)
         sane = decided(jnp.isfinite(magnitude(newton)) & jnp.isfinite(solution.residual) & ~solution.locked)
         changed = relative_size(new.residual_slopes - before.residual_slopes, new.residual_slopes)
         settled = decided(sane & solution.converged & (jnp.maximum(off, changed) <= 2 * _round_off(off) ** 0.5))
         near = sane & self._is_near(before, new, jnp.maximum(off, solution.residual), fraction)
         return Iterate(
-            values=moved._replace(moment=moment + step),
+            values=new.values + along_moment(new.slopes, step),
             slopes=new.slopes,
             residual_slopes=new.residual_slopes,
             strain=solution.nodes.strain,
@@ -164,21 +186,20 @@ class LoadedBody(NamedTuple):
         )
 
     def _march_with_slopes(self, before: Iterate, fraction: Number, by_loads: Flag) -> _March:
-        one, moment = jnp.ones_like(before.change), before.values.moment
+        one, moment = jnp.ones_like(before.change), self.moment(before.values)
 
         def flow(guess: Nodal, moment: Moment, fraction: Number, pull: Number):
             here = self.at(moment, fraction, pull)
             solution = self.method.improve(here, guess, before.strain, before.change)
-            values = Values(moment, nodal(here, solution.nodes), headings(here, solution))
-            return (values._replace(moment=0.0 * moment), moment_left_at_tip(here, solution)), solution
+            return (values_along(here, solution.states), moment_left_at_tip(here, solution)), solution
 
         def push(*tangents):
-            at = before.values.nodal, moment, fraction, one
+            at = self.nodal(before.values), moment, fraction, one
             return jax.jvp(flow, at, tangents, has_aux=True)
 
-        seeds = _directions(before, zero_as(moment, fraction), by_loads)
+        seeds = self.nodal(before.slopes), *_directions(moment, zero_as(moment, fraction), by_loads)
         (values, residual), (slopes, steepness), solution = jax.vmap(push, out_axes=(None, 0, None))(*seeds)
-        return _March(values._replace(moment=moment), residual, slopes, steepness, solution)
+        return _March(values, residual, slopes, steepness, solution)
 
     def _is_near(self, before: Iterate, new: _March, off: Number, fraction: Number) -> Flag:
         """Whether values, slopes and stability are known well enough to predict the next step."""
@@ -189,19 +210,14 @@ class LoadedBody(NamedTuple):
         steady = magnitude(drift[:-1]) <= tol.STEADY * slope
         steady &= relative_size(drift, new.residual_slopes) <= tol.STEADY
         if self.problem.geometry.has_frames:  # where stability follows from the turns
-            turns, last = new.slopes.heading[:-1], before.slopes.heading[:-1]
+            turns, last = self.headings(new.slopes[:-1]), self.headings(before.slopes[:-1])
             steady &= relative_size(turns - last, turns) <= tol.STEADY
         return (off <= enough) & steady
 
     def slopes_by_moment(self, end: Iterate, finer: "LoadedBody") -> Slopes:
         """The slopes of an equilibrium by M_ext(0) over its scale, at the nodes of the same body without roughness."""
         count = len(end.residual_slopes) - 1
-        by_moment = jax.tree.map(lambda slopes: slopes[:count], end.slopes.nodal)
-        nodal_slopes = jax.tree.map(jax.vmap(partial(self._onto, finer)), by_moment)
-        return Slopes(nodal_slopes, end.residual_slopes[:count].reshape(count, count))
-
-    def _onto(self, finer: "LoadedBody", x: Array) -> Array:
-        return self.problem.elements.refined(x, finer.problem.elements)
+        return Slopes(self.nodal(end.slopes[:count], finer), end.residual_slopes[:count].reshape(count, count))
 
     def refine(self, end: Iterate, slopes: Slopes, finer: "LoadedBody", fraction: Number) -> tuple["Polished", Number]:
         """The equilibrium of the same body without roughness, by the chord method.
@@ -215,15 +231,13 @@ class LoadedBody(NamedTuple):
         Returns:
             The equilibrium, and the number of iterations.
         """
-
-        values, strain = jax.tree.map(partial(self._onto, finer), (end.values.nodal, end.strain))
-        rest, zero = unbent(finer.problem), 0.0 * end.change
+        rest, zero, turned = unbent(finer.problem), zero_as(end), self.headings(end.slopes)
 
         def chord(last: Polished) -> tuple[Polished, Number]:
             here = finer.at(last.moment, fraction, 1.0 + zero)
             solution = finer.method.improve(here, last.nodal, last.states.nodes.strain, last.change)
             residual = moment_left_at_tip(here, solution)
-            step, off = _newton_step(self.problem, last.moment, residual, end.slopes.heading, end.residual_slopes)
+            step, off = _newton_step(self.problem, last.moment, residual, turned, end.residual_slopes)
             moved = slopes.moved(nodal(here, solution.nodes), jnp.atleast_1d(step))
             change = jnp.maximum(solution.residual, off)
             settled = decided(solution.converged & (off <= finer.method.tolerance_of(finer.problem)))
@@ -231,15 +245,17 @@ class LoadedBody(NamedTuple):
             found = Polished(last.moment + step, moved, solution.states, solution.missed, settled, lost, change)
             return found, jnp.where(settled | lost, zero, 1.0)
 
+        strain = None if end.strain is None else self.problem.elements.refined(end.strain, finer.problem.elements)
         states = varying_as(rest._replace(nodes=rest.nodes._replace(strain=strain)), zero)
-        start = Polished(end.values.moment, values, states, zero, zero > 0, zero > 0, zero + tol.REFINED)
+        values, moment = self.nodal(end.values, finer), self.moment(end.values)
+        start = Polished(moment, values, states, zero, zero > 0, zero > 0, zero + tol.REFINED)
         found, _, count = picard(chord, start, 0.0, finer.method.max_iterations)
         return found, count
 
     def is_stable(self, iterate: Iterate) -> Flag:
         """Whether the smallest eigenvalue of the tangent is positive: no conjugate point along the body."""
-        slopes, by = iterate.slopes.heading[:-1], iterate.residual_slopes[:-1]
-        return decided(self.problem.geometry.is_stable(slopes, iterate.values.heading, by))
+        turned, heading = self.headings(iterate.slopes[:-1, :, 1:]), self.headings(iterate.values[:, 1:])
+        return decided(self.problem.geometry.is_stable(turned, heading, iterate.residual_slopes[:-1]))
 
     def error_amplification(self, iterate: Iterate) -> Number:
         """The factor by which local errors along the body grow in the equilibrium.
@@ -248,15 +264,15 @@ class LoadedBody(NamedTuple):
         Where errors grow exponentially along the body, an error in the middle grows by the square root of the factor
         for an error at the base.
         """
-        turned, least = largest_size(iterate.slopes.heading[:-1]), jnp.finfo(iterate.change.dtype).eps
+        turned, least = largest_size(self.headings(iterate.slopes[:-1])), jnp.finfo(iterate.change.dtype).eps
         corrected = turned / jnp.maximum(self.problem.geometry.steepness(iterate.residual_slopes[:-1]), least)
         return jnp.maximum(corrected, jnp.sqrt(jnp.maximum(turned, 1.0)))
 
-    def moment_that_follows(self, residual_slopes: Float[Array, "slopes *components"]) -> Moment:
-        """The derivative of M_ext(0) with respect to the loads or the tensions at which M_ext(L) stays m."""
-        last = residual_slopes[-1]
-        follows = -self.problem.geometry.moment_for(residual_slopes[:-1], last)
-        return computed_once(jnp.where(magnitude(last) == 0, 0.0, follows))
+    def slope_that_follows(self, iterate: Iterate) -> Values:
+        """The derivative of the values by loads or tensions, while M_ext(0) follows so that M_ext(L) stays m."""
+        by_moment, last = iterate.residual_slopes[:-1], iterate.residual_slopes[-1]
+        follows = -self.problem.geometry.moment_for(by_moment, last)
+        return iterate.slopes[-1] + along_moment(iterate.slopes, jnp.where(magnitude(last) == 0, 0.0, follows))
 
     def travel_rate(self, iterate: Iterate, fraction: Number) -> PerTendon:
         """The rate, m, at which tendons slide in while all base tensions rise in proportion."""
@@ -265,25 +281,27 @@ class LoadedBody(NamedTuple):
             here = self.at(moment, fraction, pull)
             return tendon_displacement(here, state_at_nodes(here, guess, iterate.strain))
 
-        one, values = jnp.ones_like(iterate.change), iterate.values
-        follows = self.moment_that_follows(iterate.residual_slopes)
-        moved = jax.tree.map(lambda slopes: slopes[-1] + along_moment(slopes, follows), iterate.slopes.nodal)
-        return jax.jvp(displacement, (values.nodal, values.moment, one), (moved, follows, one))[1]
+        one = jnp.ones_like(iterate.change)
+        at, moved = iterate.values, self.slope_that_follows(iterate)
+        places, ways = ((self.nodal(x), self.moment(x), one) for x in (at, moved))
+        return jax.jvp(displacement, places, ways)[1]
 
 
-def _directions(before: Iterate, zero: Number, by_loads: Flag) -> tuple[Nodal, Array, Array, Array]:
+def _directions(moment: Moment, zero: Number, by_loads: Flag) -> tuple[Array, Array, Array]:
     """Of the slopes, for `flow`: along each component of the moment, and last by the loads or by all base tensions."""
-    moment, second = before.values.moment, jnp.where(by_loads, jnp.ones_like(before.change), 0.0)
-    count = max(moment.size, 1)
+    second, count = jnp.where(by_loads, 1.0 + zero, 0.0), max(moment.size, 1)
     units, last = (jnp.asarray(x, second.dtype) for x in (np.eye(count + 1, count), np.eye(count + 1)[-1]))
-    return before.slopes.nodal, zero + units.reshape(count + 1, *moment.shape), second * last, (1.0 - second) * last
+    return zero + units.reshape(count + 1, *moment.shape), second * last, (1.0 - second) * last
 
 
-def headings(problem: Problem, solution: Solution) -> Array:
-    """The headings at the nodes and at last at the tip, as `Values` hold them."""
-    tip = solution.tip.heading
-    row = jnp.concatenate([solution.nodes.heading.reshape(-1, *tip.shape), tip[None]])
-    return 2.0 * row if problem.geometry.has_frames else row
+def values_along(problem: Problem, states: BodyStates) -> Values:
+    """The values of a body at base, nodes and tip."""
+
+    base, tip = (jax.tree.map(lambda x, at=at: x[at], state) for state, at in ((states.starts, 0), (states.ends, -1)))
+    along = jax.tree.map(line_up, base, states.nodes, tip)
+    heading = 2.0 * along.heading if problem.geometry.has_frames else along.heading
+    every = along.ratio, along.moment / problem.moment_scale, heading
+    return jnp.concatenate([jnp.moveaxis(x.reshape(len(x), -1), 1, 0) for x in every])
 
 
 def along_moment(slopes: Array, change: Moment) -> Array:
