@@ -18,7 +18,7 @@ from jax.tree_util import Partial
 from jaxtyping import Array, Bool, Float
 
 from ..numerics import tolerances as tol
-from ..numerics.arrays import all_finite, computed_once, decided, largest, largest_size, relative_size, zero_as
+from ..numerics.arrays import all_finite, computed_once, largest, largest_size, relative_size, zero_as
 from ..numerics.elements import Elements, totals
 from ..numerics.fixed_point import fixed_point, minus, newton, round_off, without_derivative
 from ..numerics.rotations import about, direction_of, parts_of, product, sum_of, turned_across, turned_by
@@ -261,7 +261,7 @@ class FixedPoint(eqx.Module):
         if problem.is_quadrature:
             values = update(jax.lax.stop_gradient(guess))
             change, count = jnp.where(all_finite(values), 0.0, jnp.inf), ones_at_base(problem)[0]
-            good = decided(_acceptable(values))
+            good = _acceptable(values)
             values = jax.tree.map(lambda new, old: jnp.where(good, new, old), values, guess)
         else:
             off = jnp.inf
@@ -289,10 +289,10 @@ class FixedPoint(eqx.Module):
         states = _solved(problem, starts, nodes, ends, elastic)
         better, guess = without_derivative((nodal(problem, states.nodes), guess))  # their change needs no derivative
         change = relative_size(minus(better, guess), better)
-        positive = decided(jnp.all(states.ends.ratio > 0) & jnp.all(better.ratio > 0))
+        positive = jnp.all(states.ends.ratio > 0) & jnp.all(better.ratio > 0)
         # the iteration converges by the factor change / before, so the next change would be this one times that factor
         least = self.tolerance_of(problem)
-        still = decided((change * change <= least * jnp.maximum(before, change)) & (change <= tol.LAST_GAIN * least))
+        still = (change * change <= least * jnp.maximum(before, change)) & (change <= tol.LAST_GAIN * least)
         # from a poor guess r may pass below zero and come back
         ended = jnp.ones_like(change), change, still & positive, still & ~positive
         return Solution(states, *ended, 0.0 if missed is None else jnp.sum(missed))

@@ -56,11 +56,6 @@ def computed_once(x: Float[Array, "*values"]) -> Float[Array, "*values"]:
     return x / (1.0 + 0.0 * x)
 
 
-def decided(flag: Bool[Array, "*values"]) -> Bool[Array, "*values"]:
-    """The same truth values, which XLA computes once, and not again for every array that is selected by them."""
-    return computed_once(flag.astype(jnp.float32)) > 0.5
-
-
 def zero_as(*numbers: PyTree) -> Float[Array, ""]:
     """0, which varies over the same devices of shard_map as the numbers of the trees; arrays of integers are left out.
 

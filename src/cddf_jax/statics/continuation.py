@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from ..mechanics.problem import Moment, Number
 from ..numerics import tolerances as tol
-from ..numerics.arrays import all_finite, decided, largest_size
+from ..numerics.arrays import all_finite, largest_size
 from .shooting import Flag, Iterate, LoadedBody, Values
 
 
@@ -89,7 +89,7 @@ def follow_loads(body: LoadedBody, zero: Number) -> tuple[LoadPath, Iterate]:
         state = state._replace(iterate=body.iterate(state.iterate, state.fraction, state.fraction < 1.0))
         iterate = state.iterate
         failed = iterate.lost | ((state.num_tries > 0) & (iterate.num_iterations >= tol.MAX_CORRECTIONS))
-        tried = decided(~state.arrived & (iterate.near | failed))
+        tried = ~state.arrived & (iterate.near | failed)
         return jax.tree.map(lambda new, old: jnp.where(tried, new, old), _next_try(body, state), state)
 
     end = jax.lax.while_loop(unfinished, advance, _start(body, zero))
@@ -119,7 +119,7 @@ def _next_try(body: LoadedBody, state: _Continuation) -> _Continuation:
     first = state.first
     reached, on_path, missed = _reached(body, state)
     turned = jnp.where(first, 0.0, largest_size(body.headings(reached.values - state.point.values)))
-    accepted = decided(on_path & (missed <= tol.LARGEST_MISS) & (turned <= tol.LARGEST_TURN))
+    accepted = on_path & (missed <= tol.LARGEST_MISS) & (turned <= tol.LARGEST_TURN)
     point = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), reached, state.point)
 
     step = state.step * _step_factor(missed, accepted, on_path)

@@ -30,7 +30,7 @@ from ..mechanics.problem import (
 )
 from ..mechanics.tendon_displacement import tendon_displacement
 from ..numerics import tolerances as tol
-from ..numerics.arrays import computed_once, decided, largest_size, relative_size, varying_as, zero_as
+from ..numerics.arrays import computed_once, largest_size, relative_size, varying_as, zero_as
 from ..numerics.fixed_point import Unknowns, picard
 
 Tree = TypeVar("Tree")
@@ -167,19 +167,19 @@ class LoadedBody(NamedTuple):
         # where the march is less accurate than the residual is large, the residual may be an error of the march
         inaccurate = (solution.residual > magnitude(new.residual)) & ~solution.converged
         step = jnp.where(inaccurate, 0.0, newton)
-        sane = decided(jnp.isfinite(magnitude(newton)) & jnp.isfinite(solution.residual) & ~solution.locked)
+        sane = jnp.isfinite(magnitude(newton)) & jnp.isfinite(solution.residual) & ~solution.locked
         changed = relative_size(new.residual_slopes - before.residual_slopes, new.residual_slopes)
-        settled = decided(sane & solution.converged & (jnp.maximum(off, changed) <= 2 * _round_off(off) ** 0.5))
+        settled = sane & solution.converged & (jnp.maximum(off, changed) <= 2 * _round_off(off) ** 0.5)
         near = sane & self._is_near(before, new, jnp.maximum(off, solution.residual), fraction)
         return Iterate(
             values=new.values + along_moment(new.slopes, step),
             slopes=new.slopes,
             residual_slopes=new.residual_slopes,
             strain=solution.nodes.strain,
-            near=decided(settled | near),
+            near=settled | near,
             settled=settled,
             locked=solution.locked,
-            lost=decided(~sane | (before.num_iterations + 1 >= self.method.max_iterations)),
+            lost=~sane | (before.num_iterations + 1 >= self.method.max_iterations),
             sane=jnp.where(before.num_iterations == 0, sane, before.sane),
             num_iterations=before.num_iterations + 1.0,
             change=solution.residual,
@@ -240,8 +240,8 @@ class LoadedBody(NamedTuple):
             step, off = _newton_step(self.problem, last.moment, residual, turned, end.residual_slopes)
             moved = slopes.moved(nodal(here, solution.nodes), jnp.atleast_1d(step))
             change = jnp.maximum(solution.residual, off)
-            settled = decided(solution.converged & (off <= finer.method.tolerance_of(finer.problem)))
-            lost = decided(solution.locked | ~jnp.isfinite(change))
+            settled = solution.converged & (off <= finer.method.tolerance_of(finer.problem))
+            lost = solution.locked | ~jnp.isfinite(change)
             found = Polished(last.moment + step, moved, solution.states, solution.missed, settled, lost, change)
             return found, jnp.where(settled | lost, zero, 1.0)
 
@@ -255,7 +255,7 @@ class LoadedBody(NamedTuple):
     def is_stable(self, iterate: Iterate) -> Flag:
         """Whether the smallest eigenvalue of the tangent is positive: no conjugate point along the body."""
         turned, heading = self.headings(iterate.slopes[:-1, :, 1:]), self.headings(iterate.values[:, 1:])
-        return decided(self.problem.geometry.is_stable(turned, heading, iterate.residual_slopes[:-1]))
+        return self.problem.geometry.is_stable(turned, heading, iterate.residual_slopes[:-1])
 
     def error_amplification(self, iterate: Iterate) -> Number:
         """The factor by which local errors along the body grow in the equilibrium.
