@@ -10,6 +10,7 @@ from typing import NamedTuple, TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, PyTree
 
 from . import tolerances as tol
@@ -150,10 +151,14 @@ def slopes_by_unknowns(
 
 
 def by_iteration(again: Callable[[Tree], Tree], first: Tree, max_iterations: int) -> Tree:
-    """The values that a linear update leaves as they are; NaN where its iteration does not settle."""
-    settled = round_off(jax.tree.leaves(first)[0].dtype)
-    value, change, _ = picard(_measured(again, relative_size), first, settled, max_iterations)
-    return jax.tree.map(lambda x: jnp.where(change <= 1e3 * settled, x, jnp.nan), value)
+    """The values that a linear update leaves as they are; NaN where its iteration does not settle.
+
+    They are iterated as one array, as XLA compiles a program for every array that a loop carries.
+    """
+    start, as_tree = ravel_pytree(first)
+    settled, update = round_off(start.dtype), _measured(lambda x: ravel_pytree(again(as_tree(x)))[0], relative_size)
+    value, change, _ = picard(update, start, settled, max_iterations)
+    return as_tree(jnp.where(change <= 1e3 * settled, value, jnp.nan))
 
 
 def picard(
