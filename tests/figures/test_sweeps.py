@@ -12,7 +12,7 @@ from read_back import legend_of, x_of, xy_of, y_of
 import cddf_jax as cddf
 from cddf_jax.errors import InputError
 from cddf_jax.figures.style import render
-from cddf_jax.figures.sweeps import draw_lines, draw_map, name_in_words, sweep_figure
+from cddf_jax.figures.sweeps import draw_lines, draw_map, sweep_figure
 
 CROSSING, LOCKED = cddf.Status.crossing, cddf.Status.locked
 TENSIONS = np.linspace(10.0, 50.0, 5)
@@ -161,22 +161,6 @@ def test_one_value_is_no_axis():
     assert isinstance(figure, Figure)
     assert figure.axes[0].get_xlabel() == "Base tension (N)"
     assert set(render(figure, "sweep")) == {"sweep.pdf", "sweep.png"}
-
-
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("youngs_modulus", "Young's modulus"),
-        ("outer_radius.tip", "Outer radius tip"),
-        ("tendons.0.offset", "Tendon 1 offset"),
-        ("loads.tip_force.1", "Tip force Y"),
-        ("loads.tip_moment", "Tip moment"),
-        ("base_tension_2", "Base tension 2"),
-        ("base_tension.value", "Base tension target"),
-    ],
-)
-def test_names_in_words(name, words):
-    assert name_in_words(name) == words
 
 
 # --- a path of base tensions ---------------------------------------------------------------------

@@ -184,11 +184,9 @@ def test_files_that_cannot_be_read(tmp_path):
         read_manipulator(tmp_path / "latin.toml")
 
 
-SPACE = """
-length = "140 mm"
-outer_radius = { base = "20 mm", tip = "13 mm" }
-inner_radius = "7 mm"
-youngs_modulus = "1.4 MPa"
+SPACE = (
+    TEXT.partition("[[tendons]]")[0]
+    + """
 poissons_ratio = 0.45
 extensible = true
 axial_factor = 0.8
@@ -196,7 +194,6 @@ shear_factor = 1.2
 rest_curvature = ["0 1/m", { base = "2 1/m", tip = "1 1/m" }, "0.5 1/m"]
 torsional_stiffness = "0.02 N m^2"
 axial_stiffness = "1 kN"
-friction_coefficient = 0.42
 [[tendons]]
 offset = "12 mm"
 angle = "120 deg"
@@ -205,6 +202,7 @@ offset = "10 mm"
 angle = { base = "0 deg", tip = "0.5 turn" }
 axial_stiffness = "12 kN"
 """
+)
 
 
 @pytest.mark.parametrize("ratio", [0.45, 0.8])  # of a material, and an effective one, as a fit may find it

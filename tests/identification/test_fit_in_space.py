@@ -82,17 +82,6 @@ def test_given_numbers_that_are_refused(given, words):
         cddf.BenchSetting(given=given)
 
 
-def test_a_setting_in_words():
-    setting = cddf.BenchSetting(cddf.Loads(gravity=(0.0, -9.81)), {"head": HEAD}, {"camera_turn_z": np.pi / 2})
-    assert setting.in_words == [
-        "camera_turn_z = 90 deg",
-        "loads in all rows: tip force 0, 0 N, tip moment 0 N m, gravity 0, -9.81 m/s^2",
-        "marker head: (2, 11, 4) mm from the axis at 80 mm",
-    ]
-    hung = cddf.BenchSetting(cddf.Loads(points=[cddf.PointLoad(0.06, (0.0, -0.5))]))
-    assert hung.in_words[1] == "in all rows a load at 60 mm: (0, -0.5) N and 0 N m"
-
-
 @pytest.mark.parametrize(
     ("body", "name", "words"),
     [

@@ -11,7 +11,7 @@ from bodies import paper_body
 import cddf_jax as cddf
 from cddf_jax.identification.bench import Bench, BenchModel, Evaluation
 from cddf_jax.identification.fit import _without_contradicted
-from cddf_jax.identification.verdict import SolveResults, advice_on, doubt, solve_results
+from cddf_jax.identification.verdict import SolveResults, doubt, solve_results
 from cddf_jax.measurements.table import Measurements
 
 
@@ -71,19 +71,3 @@ def test_rows_are_left_out_until_the_fit_contradicts_none():
 
     assert _without_contradicted(fit).contradicted == {}
     assert asked == [{}, {"bench": [3, 5]}, {"bench": [3, 5, 2]}]
-
-
-@pytest.mark.parametrize(
-    ("lost", "advised"),
-    [
-        (("gravity_turn_z", "camera_turn_z"), "in another way, or a prior."),
-        (("friction_coefficient",), "in another way (friction: a pulley test), or a prior."),
-    ],
-)
-def test_advice_names_a_pulley_test_for_friction_alone(lost, advised):
-    """A pulley has no gravity and no camera."""
-    table = Measurements("bench", {"base_tension": np.arange(3.0), "tip_angle": np.arange(3.0)}, np.arange(3))
-    found: Any = SimpleNamespace(status=dict.fromkeys(lost, "not identified"), combinations={}, sums={})
-    told = advice_on(found, [table], {*lost})
-    assert told.startswith(f"The data do not determine {', '.join(sorted(lost))}, although they hold tip angles")
-    assert told.endswith(advised)

@@ -211,19 +211,3 @@ def test_under_vmap_and_jit_there_are_shapes():
     assert told[1].startswith("Manipulator(")
     assert "tip_position=f64[3,2]" in str(batch)
     assert cddf.in_words(batch.status) == "2 successful, 1 unphysical"
-
-
-def test_a_manipulator():
-    wavy = cddf.Tendon(lambda s: 0.010 + 0.001 * np.sin(np.pi * s / 0.1) ** 2, -1, end=0.1, friction_coefficient=0.3)
-    pair = two_slanted_tendons(density=1070.0)
-    body = replace(pair, tendons=(*pair.tendons, wavy), drag=0.5, yield_strain=0.1)
-    assert str(body).splitlines() == [
-        "Manipulator of 140 mm, exact kinematics",
-        "outer_radius 20 mm at the base, 13 mm at s = 140 mm",
-        "inner_radius 7 mm",
-        "youngs_modulus 1.4 MPa, friction_coefficient 0.42, density 1070 kg/m^3, drag 0.5 N/m, yield_strain 10 %",
-        "tendon 1: offset 12 mm at the base, 9 mm at s = 140 mm, side +1",
-        "tendon 2: offset 12 mm at the base, 9 mm at s = 140 mm, side -1",
-        "tendon 3: offset 10 mm at the base, 10 mm at s = 100 mm (from 10 mm to 11 mm), side -1, "
-        "end 100 mm, friction_coefficient 0.3",
-    ]
