@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from ..errors import InputError, within
+from ..numerics.given_numbers import check_whole
 from ..quantities import check_range_in_space
 from ..robot.manipulator import Manipulator
 from ..robot.validation import check_loads
@@ -123,12 +124,6 @@ def _combinations(
         lists.append([quantity(value, "dimensionless", f"design: a choice of {name!r}") for value in values])
     for numbers in product(*lists):
         yield dict(zip(choices, numbers, strict=True))
-
-
-def check_whole(what: str, value: object, least: int) -> None:
-    """Refuse anything but a whole number of `least` or more."""
-    if isinstance(value, bool) or not isinstance(value, int) or value < least:
-        raise InputError(f"{what} must be a whole number of {least} or more, got {value!r}")
 
 
 # --- the problem, checked ----------------------------------------------------------------------------

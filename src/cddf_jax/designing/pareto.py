@@ -9,9 +9,10 @@ import numpy as np
 
 from ..errors import InputError
 from ..files.writing import markdown_table
+from ..numerics.given_numbers import check_whole
 from ..robot.manipulator import Manipulator
 from ..units import shown
-from .design import Aim, check_whole, problem_of, weighted
+from .design import Aim, problem_of, weighted
 from .free_numbers import Bounds, number_in_words
 from .load_cases import LoadCase
 from .objectives import Limit

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import PyTree
 
 from ..errors import InputError
-from ..numerics.given_numbers import check_numbers
+from ..numerics.given_numbers import check_numbers, check_whole
 from .determination import Determination, determine
 from .evidence import Evidence
 from .levenberg_marquardt import MAX_STEPS, Minimum
@@ -177,8 +177,8 @@ def least_squares_fit(
         )
     if not jax.tree.leaves(start):
         raise InputError("start: there is no parameter to fit; give one or more")
-    if starts is not None and (isinstance(starts, bool) or not isinstance(starts, int) or starts < 1):
-        raise InputError(f"starts must be a whole number of 1 or more, got {starts!r}")
+    if starts is not None:
+        check_whole("starts", starts, 1)
     check_numbers("start", jax.tree.leaves(start))
     flat, unravel = jax.flatten_util.ravel_pytree(jax.tree.map(lambda leaf: np.asarray(leaf, float), start))
     names, first = names_of(start), np.asarray(flat)

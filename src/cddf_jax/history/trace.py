@@ -12,13 +12,13 @@ from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 
 from ..errors import SolveError
-from ..numerics.given_numbers import check_numbers
+from ..numerics.given_numbers import check_numbers, check_whole
 from ..numerics.rotations import rotation_vector
 from ..quantities import check_range_in_space
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator, in_space
 from ..robot.validation import check_loads
-from ..statics.arguments import check_nodes, refuse_batch
+from ..statics.arguments import refuse_batch
 from ..statics.equilibrium import nan_unless
 from ..statics.response import tip_compliance
 from ..statics.status import Status, words_of
@@ -97,10 +97,9 @@ def trace(
     each = loads if isinstance(loads, tuple | list) else [loads]
     if manipulator.in_space or any(isinstance(one, Loads) and one.in_space for one in each):
         manipulator = in_space(manipulator)
-    check_nodes(nodes)
-    for name, value, least in (("max_turns", max_turns, 1), ("short_steps", short_steps, 2)):
-        if isinstance(value, bool) or not isinstance(value, int) or value < least:
-            raise ValueError(f"trace: {name} must be a whole number of {least} or more, got {value!r}")
+    check_whole("nodes", nodes, 4)
+    check_whole("trace: max_turns", max_turns, 1)
+    check_whole("trace: short_steps", short_steps, 2)
     if start is not None and not isinstance(start, History):
         raise TypeError(f"trace: start must be a History, got {type(start).__name__}")
     if start is not None:

@@ -22,6 +22,7 @@ from ..measurements.loop_sense import runs_backwards
 from ..measurements.markers import marker_column
 from ..measurements.table import Measurements
 from ..measurements.trials import repeated_tables
+from ..numerics.given_numbers import check_whole
 from ..robot.manipulator import Manipulator
 from ..statics.arguments import refuse_batch
 from . import bench
@@ -322,8 +323,7 @@ def fit(
     own = [tendon.friction_coefficient is not None for tendon in manipulator.tendons]
     if "friction_coefficient" in free and all(own):
         raise InputError("fit: every tendon has its own friction coefficient; leave theirs out to fit a common one")
-    if isinstance(short_steps, bool) or not isinstance(short_steps, int) or short_steps < 2:
-        raise InputError(f"fit: short_steps must be a whole number of 2 or more, got {short_steps!r}")
+    check_whole("fit: short_steps", short_steps, 2)
     if not tables or not free:
         raise InputError("fit: needs a table of measurements and a free parameter")
     options = given | {"free": list(free), "setting": setting.as_dict(), "leave_out": left_out}

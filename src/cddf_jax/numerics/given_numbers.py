@@ -49,6 +49,16 @@ def check_numbers(what: str, given: object) -> None:
         raise InputError(f"{found} cannot be used, got {got}", where=what or (), remedy=remedy)
 
 
+def check_whole(what: str, given: object, least: int) -> None:
+    """Check a number that counts something.
+
+    Raises:
+        InputError: for anything but a whole number of `least` or more.
+    """
+    if isinstance(given, bool) or not isinstance(given, int) or given < least:
+        raise InputError(f"{what} must be a whole number of {least} or more, got {given!r}")
+
+
 def _objection(given: Any) -> tuple[str, str] | None:
     """What is wrong, and the remedy; None for plain numbers."""
     if isinstance(given, jax.Array):

@@ -32,16 +32,6 @@ DOUBLE = np.dtype(np.float64)  # of directions, which are exact in any precision
 GivenDirections = Number | tuple[Number | None, ...]
 
 
-def check_nodes(nodes: object) -> None:
-    """Check a number of nodes.
-
-    Raises:
-        ValueError: unless it is a whole number of 4 or more.
-    """
-    if isinstance(nodes, bool) or not isinstance(nodes, int) or nodes < 4:
-        raise ValueError(f"nodes must be a whole number of 4 or more, got {nodes!r}")
-
-
 def split_actuation(manipulator: Manipulator, actuation: Actuation) -> tuple[PyTree, Targets]:
     """The given tensions, with zero in place of targets; and the targets, with None in place of tensions."""
     count = manipulator.num_tendons

@@ -28,9 +28,10 @@ from ..mechanics.problem import (
 )
 from ..numerics.elements import Elements
 from ..numerics.fixed_point import FixedPointResult, fixed_point, without_derivative
+from ..numerics.given_numbers import check_whole
 from ..robot.cross_section import planar, where_present
 from ..robot.manipulator import Manipulator
-from .arguments import check_nodes, one_precision, per_tendon
+from .arguments import one_precision, per_tendon
 from .solve import solve
 
 
@@ -169,7 +170,7 @@ def iteration_history(
         tip_tolerance: e_tip,th, m.
         max_updates: how many updates are made, also after e_tip has fallen below the threshold.
     """
-    check_nodes(nodes)
+    check_whole("nodes", nodes, 4)
     _refuse_drag(manipulator)
     given = per_tendon(manipulator, base_tension, direction)
     if not_stated(given[1]):

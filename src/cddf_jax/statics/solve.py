@@ -20,6 +20,7 @@ from ..mechanics.truncation_error import truncation_error
 from ..numerics import tolerances as tol
 from ..numerics.arrays import zero_as
 from ..numerics.fixed_point import without_derivative
+from ..numerics.given_numbers import check_whole
 from ..robot.cross_section import planar
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator, in_space
@@ -29,7 +30,6 @@ from .arguments import (
     GivenDirections,
     are_possible,
     check_method,
-    check_nodes,
     check_targets,
     checked_loads,
     harmless,
@@ -117,7 +117,7 @@ def solve(
     if manipulator.has_memory:
         what = "solve: friction_moment, outside_friction and outside_drag act along a history"
         raise InputError(what, remedy="use trace, or leave them out of the body")
-    check_nodes(nodes)
+    check_whole("nodes", nodes, 4)
     given, targets = split_actuation(manipulator, base_tension)
     given, direction = per_tendon(manipulator, given, direction)
     loads = checked_loads(loads)
