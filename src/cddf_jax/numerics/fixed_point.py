@@ -153,7 +153,7 @@ def slopes_by_unknowns(
 def by_iteration(again: Callable[[Tree], Tree], first: Tree, max_iterations: int) -> Tree:
     """The values that a linear update leaves as they are; NaN where its iteration does not settle.
 
-    They are iterated as one array, as XLA compiles a program for every array that a loop carries.
+    They are iterated as one array, as XLA compiles a kernel for every array that a loop carries.
     """
     start, as_tree = ravel_pytree(first)
     settled, update = round_off(start.dtype), _measured(lambda x: ravel_pytree(again(as_tree(x)))[0], relative_size)

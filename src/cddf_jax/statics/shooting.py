@@ -37,7 +37,7 @@ Tree = TypeVar("Tree")
 Flag = Bool[Array, ""]
 
 
-# The values of a loaded body in one array, as XLA compiles a program for every array that a loop carries. Rows: r of
+# The values of a loaded body in one array, as XLA compiles a kernel for every array that a loop carries. Rows: r of
 # each tendon, M_ext over its scale, and the heading; in space twice the quaternion, whose change is an angle. Columns:
 # base, nodes, tip. Slopes have a leading axis: by components of M_ext(0) over its scale, then by loads or tensions.
 Values = Float[Array, "*slopes rows points"]
