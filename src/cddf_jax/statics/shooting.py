@@ -296,7 +296,6 @@ def _directions(moment: Moment, zero: Number, by_loads: Flag) -> tuple[Array, Ar
 
 def values_along(problem: Problem, states: BodyStates) -> Values:
     """The values of a body at base, nodes and tip."""
-
     base, tip = (jax.tree.map(lambda x, at=at: x[at], state) for state, at in ((states.starts, 0), (states.ends, -1)))
     along = jax.tree.map(line_up, base, states.nodes, tip)
     heading = 2.0 * along.heading if problem.geometry.has_frames else along.heading
