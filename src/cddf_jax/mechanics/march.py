@@ -256,23 +256,29 @@ class FixedPoint(eqx.Module):
     max_iterations: int = eqx.field(default=64, static=True)
 
     def __call__(self, problem: Problem) -> Solution:
-        update, least = Partial(_improved, problem), self.tolerance_of(problem)
-        guess = nodal(problem, unbent(problem).nodes)
         if problem.is_quadrature:
-            values = update(jax.lax.stop_gradient(guess))
-            change, count = jnp.where(all_finite(values), 0.0, jnp.inf), ones_at_base(problem)[0]
-            good = _acceptable(values)
-            values = jax.tree.map(lambda new, old: jnp.where(good, new, old), values, guess)
-        else:
-            off = jnp.inf
-            if _follows_the_axis(problem):
-                guess, off = _once(problem, guess)
-            settings = {"tolerance": least, "max_iterations": self.max_iterations}
-            values, count, change, good = fixed_point(update, guess, **settings, acceptable=_acceptable, off=off)
+            return self._by_quadrature(problem)
+        least, guess, off = self.tolerance_of(problem), nodal(problem, unbent(problem).nodes), jnp.inf
+        if _follows_the_axis(problem):
+            guess, off = _once(problem, guess)
+        settings = {"tolerance": least, "max_iterations": self.max_iterations, "acceptable": _acceptable, "off": off}
+        values, count, change, good = fixed_point(Partial(_improved, problem), guess, **settings)
         found = self.improve(problem, values)
         good = good & jnp.all(found.tip.ratio > 0)
         locked = (change <= least) & ~good
         return Solution(found.states, count, change, good, locked, found.missed)
+
+    def _by_quadrature(self, problem: Problem) -> Solution:
+        """The solution where r is exact after one iteration, from any guess; the next gives the shape."""
+        straight = unbent(problem)
+        first = self.improve(problem, without_derivative(nodal(problem, straight.nodes)))
+        finite = all_finite(first.nodes.ratio)
+        good = _acceptable(nodal(problem, first.nodes)) & jnp.all(first.tip.ratio > 0)
+        exact = jax.tree.map(lambda new, old: jnp.where(good, new, old), first.states, straight)
+        found = self.improve(problem, nodal(problem, exact.nodes))
+        states = (new._replace(pull=old.pull, growth=old.growth) for new, old in zip(found.states, exact, strict=True))
+        change, count = jnp.where(finite, 0.0, jnp.inf), ones_at_base(problem)[0]
+        return Solution(BodyStates(*states), count, change, good, finite & ~good, found.missed)
 
     def improve(
         self, problem: Problem, guess: Nodal, strain: Array | None = None, before: Number | float = 0.0
