@@ -12,6 +12,7 @@ from cddf_jax.numerics.elements import (
     Elements,
     gains_of_length,
     gains_of_magnitude,
+    quartics,
     sums,
 )
 
@@ -44,7 +45,7 @@ CHANGING += [(lambda x: (x - 0.05) * (x - 0.13) * np.exp(x), (0.05, 0.13), 1e-9)
 
 @pytest.mark.parametrize(("rate", "roots", "atol"), CHANGING)
 def test_the_magnitude_of_a_rate_that_changes_its_sign(rate, roots, atol):
-    nodes, end = sums(ONE.width[0], gains_of_magnitude(rate(ONE.nodes[0])))
+    nodes, end = sums(ONE.width[0], gains_of_magnitude(quartics(rate(ONE.nodes[0]))))
     assert_allclose([*nodes, end], integrals(lambda x: abs(rate(x)), *roots), rtol=0, atol=atol)
 
 
@@ -52,7 +53,7 @@ def test_derivatives_of_the_magnitude_by_the_root():
     """The integral of |x - a| over [0, w] is (a^2 + (w - a)^2) / 2: slope 2 a - w and curvature 2."""
 
     def total(a):
-        return sums(ONE.width[0], gains_of_magnitude(ONE.nodes[0] - a))[1]
+        return sums(ONE.width[0], gains_of_magnitude(quartics(ONE.nodes[0] - a)))[1]
 
     slope, bend = jax.jit(lambda a: (jax.grad(total)(a), jax.jacfwd(jax.grad(total))(a)))(0.07)
     assert_allclose([slope, bend], [2 * 0.07 - 0.2, 2.0], rtol=1e-12)
@@ -66,7 +67,8 @@ def test_the_length_of_a_vector_that_passes_near_zero(distance):
     def vector(x):
         return np.stack([0.1 * distance * np.cos(x), np.sin(3 * (x - place)), (x - place) ** 2], axis=-1)
 
-    nodes, end = sums(ONE.width[0], gains_of_length(jnp.asarray(vector(ONE.nodes[0]))))
+    rate = jnp.asarray(vector(ONE.nodes[0]))
+    nodes, end = sums(ONE.width[0], gains_of_length(rate, quartics(rate)))
     assert_allclose([*nodes, end], integrals(lambda x: np.linalg.norm(vector(x)), place), atol=2e-10)
 
 
@@ -75,7 +77,7 @@ def test_derivatives_of_the_length_of_a_vector():
 
     def total(a):
         vectors = jnp.stack([jnp.full(8, a), ONE.nodes[0], jnp.zeros(8)], axis=-1)
-        return sums(ONE.width[0], gains_of_length(vectors))[1]
+        return sums(ONE.width[0], gains_of_length(vectors, quartics(vectors)))[1]
 
     slope = jax.jit(jax.grad(total))
     for a in (0.3, 0.02):

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..numerics import tolerances as tol
 from ..numerics.arrays import cos_sin, largest_size
-from ..numerics.elements import gains_of_length, gains_of_magnitude, slope_in_element
+from ..numerics.elements import Quartics, gains_of_length, gains_of_magnitude, slope_in_element
 from ..numerics.rotations import (
     IDENTITY,
     as_matrix,
@@ -141,9 +141,9 @@ class Plane:
         """|psi'|."""
         return jnp.abs(turning)
 
-    def gains(self, turning: Array) -> Array:
+    def gains(self, turning: Array, curve: Quartics) -> Array:
         """The integral of |psi'|, which changes its sign, over the sub-intervals of an element of width 1."""
-        return gains_of_magnitude(turning)
+        return gains_of_magnitude(curve)
 
     def pointing(self, section: AnySection, strain: Array) -> Array:
         """Where the tendons point in the frame of the cross-section: angles alpha, rad."""
@@ -300,8 +300,8 @@ class Space:
     def size(self, turning: Array) -> Array:
         return length_of(turning)
 
-    def gains(self, turning: Array) -> Array:
-        return gains_of_length(turning)
+    def gains(self, turning: Array, curve: Quartics) -> Array:
+        return gains_of_length(turning, curve)
 
     def pointing(self, section: AnySection, strain: Array) -> Array:
         """Unit tangents."""

@@ -7,17 +7,18 @@ that part continued over the whole element. Of each tendon the first place in an
 the wrap angle is divided as well, but the branches are not.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..numerics.elements import (
+    Size,
+    SizeOver,
     Totals,
     first_root,
-    gains,
     gauss_rule,
+    quartics,
     sums,
     switched,
     total_to,
@@ -42,8 +43,8 @@ class Tensions(NamedTuple):
         self,
         width: Number,
         rates: Array,
-        size: Callable[[Array], Array] = lambda rate: rate,
-        divided: Callable[[Array], Array] | None = None,
+        size: Size = lambda rate: rate,
+        divided: SizeOver | None = None,
     ) -> Totals:
         """The integral of the size of a rate, given for each branch.
 
@@ -51,12 +52,14 @@ class Tensions(NamedTuple):
             width: of the element, m.
             rates: at its nodes.
             size: the rate itself, its magnitude or its length.
-            divided: integrates it over sub-intervals, and divides them where it is not smooth; None where it is.
+            divided: integrates it over sub-intervals, and divides them where it is not smooth; None where it is, and
+                the size is then the rate itself.
         """
-        if self.places is None and divided is None:
+        if self.places is not None:
+            return sums(width, switched(size, divided, rates, self.places))
+        if divided is None:
             return totals(width, size(rates[0]))
-        over = divided or (lambda rate: gains(size(rate)))
-        return sums(width, over(rates[0]) if self.places is None else switched(over, size, rates, self.places))
+        return sums(width, divided(rates[0], quartics(rates[0])))
 
     def at_nodes(self, values: Array) -> Array:
         """The values at the nodes, given for each branch."""
@@ -80,7 +83,8 @@ def tensions_along(section: AnySection, base_tension: PerTendon, pull: Pull, rou
     if pull.spent is None or rough:
         return Tensions(where_present(section, unspent(base_tension, pull) / size)[None], pull.ratio[None])
     left = base_tension - pull.spent
-    slack = jnp.where(left[-1] < left[0], first_root(left), 1.0)  # where drag adds tension, none becomes slack
+    # where drag adds tension, none becomes slack
+    slack = jnp.where(left[-1] < left[0], first_root(quartics(left)), 1.0)
     tension = where_present(section, left / size)
     taut = left > 0
     early, late = jnp.where((slack < 1) | taut[0], tension, 0.0), jnp.where((slack < 1) | ~taut[-1], 0.0, tension)
@@ -119,8 +123,8 @@ def with_smooth_ratios(
     passed = own <= places[:, None] if apart else jnp.ones((1, *own.shape), bool)
     late = jnp.concatenate([jnp.zeros((1, *own.shape), bool), passed])
     beyond = jnp.asarray(gauss_rule(len(pull.ratio)).nodes, pull.ratio.dtype)[:, None] > own
-    change = direction * differs * (jnp.where(late[:, None], 1.0, 0.0) - jnp.where(beyond, 1.0, 0.0))
-    ratios = pull.ratio + change
+    shift = jnp.where(late[:, None], 1.0, 0.0) - jnp.where(beyond, 1.0, 0.0)
+    ratios = jnp.stack([pull.ratio + each * (direction * differs) for each in shift])  # one product is slow in reverse
     size = jnp.maximum(jnp.abs(ratios), jnp.finfo(ratios.dtype).eps)
     signs = None if signs is None else jnp.where(late, signs[1], signs[0])
     return Tensions(where_present(section, taut * left / size), ratios, places, signs)
@@ -131,8 +135,9 @@ def _where_turning_over(growth: Float[Array, "p tendons"]) -> tuple[Array, Array
 
     Beyond that place, r' is |g| on one branch and -|g| on the other, so that r differs by 2 |integral of g from there|.
     """
-    places, left = first_root(growth), growth < 0
-    differs = 2.0 * jnp.abs(totals(jnp.ones_like(places[0]), growth)[0] - total_to_root(growth, places))
+    curve, left = quartics(growth), growth < 0
+    places = first_root(curve)
+    differs = 2.0 * jnp.abs(totals(jnp.ones_like(places[0]), growth)[0] - total_to_root(curve, places))
     early, last = (jnp.where(side, -1.0, 1.0) for side in (left[0], left[-1]))
     once = (jnp.sum(left[1:] != left[:-1], axis=0) == 1) & (early * last < 0)
     over = places < 1
@@ -144,5 +149,5 @@ def _apart_where_slack(growth: Float[Array, "2 p tendons"], place: Number) -> Fl
     """By how much the branches of r are apart, where a tendon becomes slack at a place."""
     early, late = growth
     rate = jnp.sign(late[-1]) * late - jnp.sign(early[0]) * early
-    apart = totals(jnp.ones_like(place), rate)[0] - total_to(rate, place)
+    apart = totals(jnp.ones_like(place), rate)[0] - total_to(quartics(rate), place)
     return jnp.where(place < 1, apart, 0.0)

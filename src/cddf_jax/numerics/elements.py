@@ -103,7 +103,7 @@ def last_coefficients(vectors: Float[Array, "p *k n"]) -> tuple[Float[Array, "*k
 # --- one element --------------------------------------------------------------------------------
 
 Totals = tuple[Float[Array, "p *k"], Float[Array, "*k"]]  # from the start of an element to its nodes, and to its end
-Quartic = tuple[Array, ...]  # its five coefficients over sub-intervals of width 1, each (q, *k)
+Quartics = tuple[Array, ...]  # their five coefficients over the sub-intervals, scaled to width 1, each (q, *k)
 
 
 def totals(width: Float[Array, ""], rate: Float[Array, "p *k"]) -> Totals:
@@ -118,59 +118,56 @@ def sums(width: Float[Array, ""], gains: Float[Array, "q *k"]) -> Totals:
     return found[:-1], found[-1]
 
 
-def gains(rate: Float[Array, "p *k"]) -> Float[Array, "q *k"]:
-    """The integral of a rate over each sub-interval, which is that of its quartics."""
-    curve = _quartics(rate)
-    return _along(gauss_rule(rate.shape[0]).step, curve[0]) * _integral(curve, 1.0)
+def quartics(values: Float[Array, "p *k"]) -> Quartics:
+    """The quartics over the sub-intervals of the polynomial through the nodes."""
+    coefficients = times(np.concatenate(gauss_rule(values.shape[0]).quartics), values)
+    return tuple(jnp.split(coefficients, 5))  # with indices, gradients of batches under loads take a third longer
 
 
 @jax.custom_jvp
-def gains_of_magnitude(rate: Float[Array, "p *k"]) -> Float[Array, "q *k"]:
+def gains_of_magnitude(rate: Quartics) -> Float[Array, "q *k"]:
     """The integral of |rate| over each sub-interval, which is divided where the rate changes its sign."""
     return _gains_by_sign(rate, rate)
 
 
 @gains_of_magnitude.defjvp
-def _(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
+def _(primals: tuple[Quartics], tangents: tuple[Quartics]) -> tuple[Array, Array]:
     # the root moves, but there the rate is zero
     return gains_of_magnitude(*primals), _gains_by_sign(*primals, *tangents)
 
 
-def _gains_by_sign(rate: Float[Array, "p *k"], values: Float[Array, "p *k"]) -> Float[Array, "q *k"]:
+def _gains_by_sign(rate: Quartics, values: Quartics) -> Float[Array, "q *k"]:
     """The integral of values times the sign of a rate, which is 1 where the rate is 0."""
-    curve, gain = _quartics(rate), gains(values)
-    crosses, root = _roots(curve)
-    before = _along(gauss_rule(rate.shape[0]).step, gain) * _integral(_quartics(values), root)
-    left = (curve[0] < 0) | (~crosses & (sum(curve) < 0))
-    signed = jnp.where(crosses, 2 * before - gain, gain)
-    return jnp.where(left, -signed, signed)
+    whole, (crosses, root) = _integral(values, 1.0), _roots(rate)
+    left = (rate[0] < 0) | (~crosses & (sum(rate) < 0))
+    signed = jnp.where(crosses, 2 * _integral(values, root) - whole, whole)
+    return _along(_rule_of(rate).step, whole) * jnp.where(left, -signed, signed)
 
 
 def _along(numbers: np.ndarray, like: Float[Array, "_ *k"]) -> Float[Array, "q *_"]:
     return jnp.asarray(numbers.reshape(-1, *[1] * (like.ndim - 1)), like.dtype)
 
 
-def _quartics(values: Float[Array, "p *k"]) -> Quartic:
-    """The quartics over the sub-intervals of the polynomial through the nodes."""
-    return tuple(times(gauss_rule(values.shape[0]).quartics, values))
+def _rule_of(curve: Quartics) -> Rule:
+    return gauss_rule(curve[0].shape[0] - 1)
 
 
-def _value(curve: Quartic, t: Array) -> Array:
+def _value(curve: Quartics, t: Array) -> Array:
     a, b, c, d, e = curve
     return a + t * (b + t * (c + t * (d + t * e)))
 
 
-def _rate(curve: Quartic, t: Array) -> Array:
+def _rate(curve: Quartics, t: Array) -> Array:
     _, b, c, d, e = curve
     return b + t * (2 * c + t * (3 * d + 4 * t * e))
 
 
-def _integral(curve: Quartic, t: Array | float) -> Array:
+def _integral(curve: Quartics, t: Array | float) -> Array:
     a, b, c, d, e = curve
     return t * (a + t * (b / 2 + t * (c / 3 + t * (d / 4 + t * e / 5))))
 
 
-def _roots(curve: Quartic) -> tuple[Bool[Array, "q *k"], Float[Array, "q *k"]]:
+def _roots(curve: Quartics) -> tuple[Bool[Array, "q *k"], Float[Array, "q *k"]]:
     """Whether quartics change their sign, and the root in [0, 1], by Newton's method from the root of the chord.
 
     The last step gives it derivatives of any order.
@@ -179,7 +176,7 @@ def _roots(curve: Quartic) -> tuple[Bool[Array, "q *k"], Float[Array, "q *k"]]:
     crosses = curve[0] * end < 0
     change = jnp.where(crosses, end - curve[0], 1.0)
 
-    def newton(curve: Quartic, root: Array) -> Array:
+    def newton(curve: Quartics, root: Array) -> Array:
         rise = _rate(curve, root)
         return jnp.clip(root - _value(curve, root) / jnp.where(rise == 0, change, rise), 0.0, 1.0)
 
@@ -188,77 +185,81 @@ def _roots(curve: Quartic) -> tuple[Bool[Array, "q *k"], Float[Array, "q *k"]]:
 
 
 @jax.custom_jvp
-def first_root(values: Float[Array, "p *k"]) -> Float[Array, "*k"]:
+def first_root(curve: Quartics) -> Float[Array, "*k"]:
     """The first place in [0, 1] where functions change their sign; 1 where they do not. Derivatives of any order."""
-    rule = gauss_rule(values.shape[0])
-    crosses, root = _roots(_quartics(values))
+    rule, (crosses, root) = _rule_of(curve), _roots(curve)
     places = _along(rule.points[:-1], root) + _along(rule.step, root) * root
     return jnp.min(jnp.where(crosses, places, 1.0), axis=0)
 
 
 @first_root.defjvp
-def _(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
-    (values,), (change,) = primals, tangents
-    place = first_root(values)
-    rule, inside, t = _around(values, place)
-    height, rise = _value(_quartics(change), t), _rate(_quartics(values), t)
+def _(primals: tuple[Quartics], tangents: tuple[Quartics]) -> tuple[Array, Array]:
+    (curve,), (change,) = primals, tangents
+    place = first_root(curve)
+    rule, inside, t = _around(curve, place)
+    height, rise = _value(change, t), _rate(curve, t)
     moved = -_along(rule.step, rise) * height / jnp.where(rise == 0, 1.0, rise)
     return place, jnp.where(place < 1, jnp.sum(jnp.where(inside, moved, 0.0), axis=0), 0.0)
 
 
-def _around(values: Float[Array, "p *k"], place: Float[Array, "*k"]) -> tuple[Rule, Array, Array]:
+def _around(curve: Quartics, place: Float[Array, "*k"]) -> tuple[Rule, Array, Array]:
     """The rule, and for each sub-interval whether it holds the place, and where in it the place is, from 0 to 1."""
-    rule = gauss_rule(values.shape[0])
-    t = (place - _along(rule.points[:-1], values)) / _along(rule.step, values)
+    rule = _rule_of(curve)
+    t = (place - _along(rule.points[:-1], curve[0])) / _along(rule.step, curve[0])
     return rule, (t > 0) & (t <= 1), t
 
 
-def total_to(values: Float[Array, "p *k"], place: Float[Array, "*k"]) -> Float[Array, "*k"]:
+def total_to(curve: Quartics, place: Float[Array, "*k"]) -> Float[Array, "*k"]:
     """The integral from the start of an element of width 1 to a place in [0, 1]."""
-    rule, _, t = _around(values, place)
-    return jnp.sum(_along(rule.step, t) * _integral(_quartics(values), jnp.clip(t, 0.0, 1.0)), axis=0)
+    rule, _, t = _around(curve, place)
+    return jnp.sum(_along(rule.step, t) * _integral(curve, jnp.clip(t, 0.0, 1.0)), axis=0)
 
 
 @jax.custom_jvp
-def total_to_root(values: Float[Array, "p *k"], root: Float[Array, "*k"]) -> Float[Array, "*k"]:
+def total_to_root(curve: Quartics, root: Float[Array, "*k"]) -> Float[Array, "*k"]:
     """The integral from the start of an element of width 1 to a root, which moves; but there the values are zero."""
-    return total_to(values, root)
+    return total_to(curve, root)
 
 
 @total_to_root.defjvp
-def _(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> tuple[Array, Array]:
+def _(primals: tuple[Quartics, Array], tangents: tuple[Quartics, Array]) -> tuple[Array, Array]:
     return total_to_root(*primals), total_to(tangents[0], primals[1])
 
 
+Size = Callable[[Array], Array]
+SizeOver = Callable[[Array, Quartics], Array]
+
+
 def switched(
-    gains: Callable[[Array], Array],
-    size: Callable[[Array], Array],
-    branches: Float[Array, "branches p *k"],
-    places: Float[Array, " places"],
+    size: Size, gains: SizeOver | None, branches: Float[Array, "branches p *k"], places: Float[Array, " places"]
 ) -> Float[Array, "q *k"]:
-    """The gains over the sub-intervals of a rate that changes from one branch to the next at each place.
+    """The integral of the size of a rate over the sub-intervals; the rate changes its branch at each place.
 
     Args:
-        gains: a function that integrates a rate over the sub-intervals.
-        size: what it integrates: the rate itself, its magnitude or its length.
+        size: the rate itself, its magnitude or its length.
+        gains: integrates it over sub-intervals that hold no place; None where it is the rate itself.
         branches: the rates at the nodes, one branch more than places; equal where they meet.
         places: in [0, 1] of the element, in increasing order.
     """
-    rule, found = gauss_rule(branches.shape[1]), jax.vmap(gains)(branches)
+    rule, curve = gauss_rule(branches.shape[1]), jax.vmap(quartics)(branches)
     starts, step = (jnp.asarray(x, places.dtype) for x in (rule.points[:-1], rule.step))
     cuts = jnp.clip((places[:, None] - starts) / step, 0.0, 1.0)
     whole = jnp.ones_like(cuts[:1])
     first, last = jnp.concatenate([0 * whole, cuts]), jnp.concatenate([cuts, whole])
     wide = first.shape + (1,) * (branches.ndim - 2)  # the rates may be vectors
     parts = jax.vmap(lambda curve, a, b: size(_integral(curve, b) - _integral(curve, a)))
-    divided = _along(rule.step, found[0]) * parts(
-        jax.vmap(_quartics)(branches), first.reshape(wide), last.reshape(wide)
-    )
-    undivided = ((first <= 0) & (last >= 1)).reshape(first.shape + (1,) * (found.ndim - 2))
-    return jnp.sum(jnp.where(undivided, found, divided), axis=0)
+    found = parts(curve, first.reshape(wide), last.reshape(wide))
+    found = _along(rule.step, found[0]) * found
+    # without the choice XLA hands the sum to a library that takes ten times as long for so few terms
+    wide = first.shape + (1,) * (found.ndim - 2)
+    found = jnp.where((first < last).reshape(wide), found, 0.0)
+    if gains is not None:
+        undivided = ((first <= 0) & (last >= 1)).reshape(wide)
+        found = jnp.where(undivided, jax.vmap(gains)(branches, curve), found)
+    return jnp.sum(found, axis=0)
 
 
-def gains_of_length(rate: Float[Array, "p *k n"]) -> Float[Array, "q *k"]:
+def gains_of_length(rate: Float[Array, "p *k n"], curve: Quartics) -> Float[Array, "q *k"]:
     """The integral of the length of a vector over each sub-interval, also where the vector passes near zero.
 
     The length of the polynomial is integrated by Gauss points. What they miss is found on the quartic.
@@ -266,10 +267,10 @@ def gains_of_length(rate: Float[Array, "p *k n"]) -> Float[Array, "q *k"]:
     rule = gauss_rule(rate.shape[0])
     weights = jnp.asarray(legendre.leggauss(POINTS_BETWEEN)[1] / 2, rate.dtype)
     inner = jnp.tensordot(length_of(times(rule.inner, rate)), weights, ((1,), (0,)))
-    return _along(rule.step, inner) * (inner + _missed(_quartics(rate)))
+    return _along(rule.step, inner) * (inner + _missed(curve))
 
 
-def _missed(curve: Quartic) -> Float[Array, "q *k"]:
+def _missed(curve: Quartics) -> Float[Array, "q *k"]:
     """The integral of the length of a quartic over [0, 1] less that by Gauss points.
 
     Near its minimum z, the length is about the root of alpha^2 + beta^2 (t - z)^2, whose integral has a closed form.
@@ -292,7 +293,7 @@ def _missed(curve: Quartic) -> Float[Array, "q *k"]:
     return found
 
 
-def _nearest(curve: Quartic) -> Float[Array, "q *k"]:
+def _nearest(curve: Quartics) -> Float[Array, "q *k"]:
     """Where a quartic is nearest to zero: on its chord, and after one step of Newton's method; without derivatives."""
 
     def nearer(t: Array, value: Array, rate: Array) -> Array:
