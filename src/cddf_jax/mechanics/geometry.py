@@ -19,6 +19,7 @@ from ..numerics.rotations import (
     as_matrix,
     cofactors,
     cross,
+    dot,
     in_fixed_frame,
     in_own_frame,
     length_of,
@@ -27,6 +28,7 @@ from ..numerics.rotations import (
     small_turn,
     solve_three,
     square_root,
+    sum_of,
     tilt,
     turned_by,
 )
@@ -314,7 +316,7 @@ class Space:
         tangents = jax.vmap(space.tangents)(spatial(sections), strains)
         mean, change = jnp.mean(tangents, axis=0), tangents[1] - tangents[0]
         turn = space.turn_vectors(width * jnp.mean(strains, axis=0), mean, change)
-        return square_root(jnp.sum(turn**2, axis=-1) + tol.LEAST_TURN**2)
+        return square_root(dot(turn, turn) + tol.LEAST_TURN**2)
 
     def turned_on(self, heading: Array, turn: Array) -> Array:
         return product(heading, of_turn(space.curvature_of_strain(turn)))
@@ -359,10 +361,10 @@ class Space:
 
 def _invariants(matrix: Float[Array, "*points 3 3"]) -> Float[Array, "3 *points"]:
     """The trace, the sum of the principal minors, and the determinant."""
-    a, b, c = (matrix[..., i, :] for i in range(3))
-    trace = a[..., 0] + b[..., 1] + c[..., 2]
-    of_square = jnp.sum(matrix * jnp.swapaxes(matrix, -1, -2), axis=(-2, -1))
-    return jnp.stack([trace, (trace**2 - of_square) / 2, jnp.sum(a * cross(b, c), axis=-1)])
+    at = {(i, j): matrix[..., i, j] for i in range(3) for j in range(3)}
+    minors = [at[i, i] * at[j, j] - at[i, j] * at[j, i] for i, j in ((0, 1), (0, 2), (1, 2))]
+    determinant = dot(matrix[..., 0, :], cross(matrix[..., 1, :], matrix[..., 2, :]))
+    return jnp.stack([at[0, 0] + at[1, 1] + at[2, 2], sum_of(minors), determinant])
 
 
 def axis_of(heading: Float[Array, "*points"]) -> Float[Array, "*points 2"]:

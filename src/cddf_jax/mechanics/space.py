@@ -22,7 +22,7 @@ from jaxtyping import Array, Float
 
 from ..numerics import tolerances as tol
 from ..numerics.fixed_point import newton, slope_along, solve_definite
-from ..numerics.rotations import Quaternion, Vector, cross, first_axis, in_fixed_frame, length_of
+from ..numerics.rotations import Quaternion, Vector, cross, dot, first_axis, in_fixed_frame, length_of, sum_of
 from ..robot.cross_section import SpatialSection, where_present
 from .friction import PerTendon, tension_rate
 
@@ -45,9 +45,8 @@ def strain(section: SpatialSection, tension: PerTendon, loads: Wrench | None, st
     there are `tol.STRAIN_STEPS` steps.
     """
     if section.parallel and loads is None:  # no twist, and t = (1, 0, 0)
-        arms = section.lever[:, 0, 1:] * (1.0 / section.stiffness[1:])
-        bend = [-sum(arms[i, k] * tension[i] for i in range(tension.shape[0])) for k in range(2)]
-        return jnp.stack([jnp.zeros_like(section.stiffness[0]), *bend])
+        moment = jnp.stack([0.0 * tension, -section.arm[:, 2] * tension, section.arm[:, 1] * tension], axis=-1)
+        return _over_tendons(moment) / section.stiffness
     return _strain_of_least_energy(section, tension, loads, start)
 
 
@@ -63,7 +62,8 @@ def axis_in_fixed_frame(frame: Quaternion, strain: Float[Array, "*points strains
 
 def path_rate(section: SpatialSection, strain: Strain) -> Vectors:
     """The derivative w of each tendon's position along s, in the frame of the cross-section."""
-    return jnp.sum(section.lever * strain, axis=-1) + section.ahead
+    w = cross(jnp.broadcast_to(curvature_of_strain(strain), section.arm.shape), section.arm) + section.ahead
+    return w + strain[3:] if section.extensible else w
 
 
 def tangents(section: SpatialSection, strain: Strain) -> Vectors:
@@ -74,7 +74,7 @@ def tangents(section: SpatialSection, strain: Strain) -> Vectors:
 def _pointing(section: SpatialSection, strain: Strain) -> tuple[Vectors, PerTendon]:
     """The unit tangents, and the length |w| of each tendon per length of the axis."""
     w = path_rate(section, strain)
-    size = jnp.sqrt(jnp.sum(w**2, axis=-1))
+    size = length_of(w)
     return w / size[:, None], size
 
 
@@ -128,13 +128,13 @@ def slip_rate_in_space(section: SpatialSection, strain: Strain, tension: PerTend
     """By how much a tendon's path shortens and the tendon stretches per arc length; see `slip_rate` for the plane."""
     straight, bent = path_rate(section, section.rest), path_rate(section, strain)
     length, now = length_of(straight), length_of(bent)
-    shorter = jnp.sum((straight - bent) * (straight + bent), axis=-1) / (length + now)  # without cancellation
+    shorter = dot(straight - bent, straight + bent) / (length + now)  # without cancellation
     return where_present(section, shorter) + tension * length * compliance
 
 
 def _gradient(section: SpatialSection, tension: PerTendon, tangent: Vectors, loads: Wrench | None) -> Strain:
     """The derivative of the energy with respect to the strain, without the elastic part."""
-    pull = jnp.sum(section.lever * (tension[:, None] * tangent)[..., None], axis=(0, 1))
+    pull = _over_tendons(tension[:, None] * _by_strain(section, tangent))
     if loads is None:
         return pull
     acting = loads.moment if loads.force is None else jnp.concatenate([loads.moment, loads.force])
@@ -178,8 +178,22 @@ def _residual(
 def _tangent_stiffness(
     section: SpatialSection, tension: PerTendon, tangent: Vectors, size: PerTendon
 ) -> Float[Array, "strains strains"]:
-    """The second derivative of the energy: K + sum T / |w| lever^T (1 - t t^T) lever."""
-    along = jnp.sum(section.lever * tangent[..., None], axis=1)
-    squares = jnp.einsum("ijk,ijl->ikl", section.lever, section.lever)
-    across = squares - along[..., None] * along[:, None, :]
-    return jnp.diag(section.stiffness) + jnp.sum((tension / size)[:, None, None] * across, axis=0)
+    """The second derivative of the energy: K + sum T / |w| (dw/de)^T (1 - t t^T) dw/de."""
+    arm, along, eye = section.arm, _by_strain(section, tangent), jnp.eye(3, dtype=size.dtype)
+    squares = dot(arm, arm)[:, None, None] * eye - arm[:, :, None] * arm[:, None]
+    if section.extensible:
+        turned = cross(*jnp.broadcast_arrays(eye, arm[:, None]))  # by row the change of w with a component of u
+        stretched = jnp.concatenate([jnp.swapaxes(turned, 1, 2), jnp.broadcast_to(eye, turned.shape)], axis=2)
+        squares = jnp.concatenate([jnp.concatenate([squares, turned], axis=2), stretched], axis=1)
+    across = squares - along[:, :, None] * along[:, None]
+    return jnp.diag(section.stiffness) + _over_tendons((tension / size)[:, None, None] * across)
+
+
+def _by_strain(section: SpatialSection, vectors: Vectors) -> Float[Array, "tendons strains"]:
+    """The derivative of w by the strain, transposed, times vectors: their moments, and where it can stretch they."""
+    moments = cross(section.arm, vectors)
+    return jnp.concatenate([moments, vectors], axis=-1) if section.extensible else moments
+
+
+def _over_tendons(values: Float[Array, "tendons *k"]) -> Float[Array, "*k"]:
+    return sum_of(jnp.split(values, values.shape[0]))[0]

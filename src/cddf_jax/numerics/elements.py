@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from numpy.polynomial import legendre
 
-from .rotations import length_of, square_root
+from .rotations import dot, length_of, parts_of, square_root, sum_of
 
 Tree = TypeVar("Tree")
 LARGEST_ORDER = 16  # Gauss nodes in one element
@@ -270,8 +270,23 @@ def gains_of_length(rate: Float[Array, "p *k n"], curve: Quartics) -> Float[Arra
     return _along(rule.step, inner) * (inner + _missed(curve))
 
 
+@jax.custom_jvp
 def _missed(curve: Quartics) -> Float[Array, "q *k"]:
-    """The integral of the length of a quartic over [0, 1] less that by Gauss points.
+    """The integral of the length of quartics over [0, 1] less that by Gauss points."""
+    return _missed_of_length(curve)
+
+
+@_missed.defjvp
+def _(primals: tuple[Quartics], tangents: tuple[Quartics]) -> tuple[Array, Array]:
+    """By the slopes of each integral, so that what is linear in the change is a sum of products."""
+    found, slopes_times = jax.vjp(_missed_of_length, *primals)
+    (slopes,) = slopes_times(jnp.ones_like(found))
+    changes = sum_of([slope * change for slope, change in zip(slopes, *tangents, strict=True)])
+    return found, sum_of(parts_of(changes))[..., 0]
+
+
+def _missed_of_length(curve: Quartics) -> Float[Array, "q *k"]:
+    """The integral of the length less that by Gauss points.
 
     Near its minimum z, the length is about the root of alpha^2 + beta^2 (t - z)^2, whose integral has a closed form.
     The rest is integrated by Gauss points on either side of z.
@@ -280,7 +295,7 @@ def _missed(curve: Quartics) -> Float[Array, "q *k"]:
     nodes, weights = (nodes + 1) / 2, weights / 2
     z = _nearest(curve)
     value, rate = _value(curve, z[..., None]), _rate(curve, z[..., None])
-    alpha, beta = jnp.sum(value**2, axis=-1), jnp.sum(rate**2, axis=-1)
+    alpha, beta = dot(value, value), dot(rate, rate)
     cut = jnp.clip(z, 0.0, 1.0)
 
     def rest(t: Array) -> Array:
@@ -297,8 +312,8 @@ def _nearest(curve: Quartics) -> Float[Array, "q *k"]:
     """Where a quartic is nearest to zero: on its chord, and after one step of Newton's method; without derivatives."""
 
     def nearer(t: Array, value: Array, rate: Array) -> Array:
-        speed = jnp.sum(rate**2, axis=-1)
-        return jnp.clip(t - jnp.sum(value * rate, axis=-1) / jnp.where(speed > 0, speed, 1.0), -0.5, 1.5)
+        speed = dot(rate, rate)
+        return jnp.clip(t - dot(value, rate) / jnp.where(speed > 0, speed, 1.0), -0.5, 1.5)
 
     z = nearer(jnp.zeros_like(curve[0][..., 0]), curve[0], reduce(jnp.add, curve[1:]))
     return jax.lax.stop_gradient(nearer(z, _value(curve, z[..., None]), _rate(curve, z[..., None])))

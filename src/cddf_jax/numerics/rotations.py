@@ -37,7 +37,7 @@ def cofactors(matrix: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
 def solve_three(matrix: Float[Array, "3 3"], vector: Float[Array, "3"]) -> Float[Array, "3"]:
     """The solution of three linear equations by Cramer's rule; not finite where the matrix is singular."""
     by_rows = cofactors(matrix)
-    return vector @ by_rows / (matrix[0] @ by_rows[0])
+    return sum_of([x * row for x, row in zip(parts_of(vector), by_rows, strict=True)]) / dot(matrix[0], by_rows[0])
 
 
 def product(p: Quaternion, q: Quaternion) -> Quaternion:
@@ -125,6 +125,11 @@ def small_turn(change: Quaternion, q: Quaternion) -> Vector:
     return jnp.concatenate(turn, axis=-1)
 
 
+def dot(a: Float[Array, "*points n"], b: Float[Array, "*points n"]) -> Float[Array, "*points"]:
+    """The inner product."""
+    return _dot(parts_of(a), parts_of(b))[..., 0]
+
+
 def sum_of(parts: list[Array]) -> Array:
     """The sum of arrays. In a batch it is faster than XLA's sum over a short axis."""
     return reduce(jnp.add, parts)
@@ -140,8 +145,7 @@ def _cross(a: list[Array], b: list[Array]) -> list[Array]:
 
 def length_of(vector: Float[Array, "*points n"]) -> Float[Array, "*points"]:
     """The length of a vector, with the derivative zero where it is zero."""
-    parts = parts_of(vector)
-    return square_root(_dot(parts, parts)[..., 0])
+    return square_root(dot(vector, vector))
 
 
 @jax.custom_jvp

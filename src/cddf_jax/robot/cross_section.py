@@ -29,14 +29,14 @@ class SpatialSection(eqx.Module):
     """The properties of a cross-section of a body in space, whose frame has x along the axis; primes as above.
 
     The strain is the curvature u (3), and where the axis can stretch and shear also v (3). A tendon follows
-    w = lever strain + ahead, per arc length.
+    w = u x arm + ahead, per arc length, and + v where the axis can stretch.
     """
 
     stiffness: Float[Array, " strains"]  # torsion and bending twice, N m^2; axial and shear twice, N
     rest: Float[Array, " strains"]  # the strain without moment and force
     offset: Float[Array, " tendons"]  # d, m
-    lever: Float[Array, "tendons 3 strains"]  # [rho]x^T, and the identity where the axis can stretch
-    ahead: Float[Array, "tendons 3"]  # rho', and (1, 0, 0) where it cannot
+    arm: Float[Array, "tendons 3"]  # rho, m
+    ahead: Float[Array, "tendons 3"]  # rho', and + (1, 0, 0) where the axis cannot stretch
     friction_coefficient: Float[Array, " tendons"]  # mu, -
     drag: Float[Array, " tendons"] | None  # as above
     present: Bool[Array, " tendons"] | None  # as above

@@ -32,7 +32,6 @@ from .profiles import (
 )
 
 KINEMATICS = ("published", "exact")
-_TIMES = np.cross(np.eye(3)[None, :], np.eye(3)[:, None]).swapaxes(1, 2)  # [rho, component, u] of u x rho
 STRAINS = ("twist", "about y", "about z")  # parts of the curvature at rest, in words
 STIFFNESSES = ("bending_stiffness", "torsional_stiffness", "axial_stiffness", "shear_stiffness")
 Taper = ArrayLike | Sequence[ArrayLike]  # one number, or a pair (base, tip)
@@ -424,21 +423,18 @@ class Manipulator(eqx.Module):
         """Everything that the mechanics needs at one arc length of a body in space."""
         s = jnp.asarray(arc_length)
         arm, ahead = jax.jvp(self.arms, (s,), (jnp.ones_like(s),))
-        eye = jnp.eye(3, dtype=s.dtype)
-        lever = jnp.tensordot(arm, jnp.asarray(_TIMES, s.dtype), 1)  # u x rho by components of u
-        rest = jnp.zeros(3, s.dtype)
+        rest, axis = jnp.zeros(3, s.dtype), jnp.eye(3, dtype=s.dtype)[0]
         if self.rest_curvature is not None:
             rest = jnp.stack([part(s) for part in self.rest_curvature])
         if self.extensible:
-            lever = jnp.concatenate([lever, jnp.broadcast_to(eye, lever.shape)], axis=-1)
-            rest = jnp.concatenate([rest, eye[0]])
+            rest = jnp.concatenate([rest, axis])
         present = self._present(s)
         return SpatialSection(
             stiffness=self.strain_stiffness(s),
             rest=rest,
             offset=self.offset(s),
-            lever=lever,
-            ahead=ahead if self.extensible else ahead + eye[0],
+            arm=arm,
+            ahead=ahead if self.extensible else ahead + axis,
             friction_coefficient=self.tendon_friction,
             drag=self._drag_where(present),
             present=present,
