@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..numerics import tolerances as tol
+from ..numerics.arrays import added_up
 from ..numerics.fixed_point import newton, slope_along
 from ..robot.cross_section import CrossSection, where_present
 from .friction import PerTendon, bending_loss, drag_loss, tension_rate
@@ -79,9 +80,9 @@ def curvature(
     equation: from a `start` close to it, one step of Newton's method finds it.
     """
     arm = section.side * section.offset
-    pull = jnp.sum(arm * tension) + external_moment
+    pull = added_up(arm * tension) + external_moment
     if section.kinematics == "published":
-        return pull / (section.stiffness + jnp.sum(tension * section.offset**2))
+        return pull / (section.stiffness + added_up(tension * section.offset**2))
     if not section.slanted:
         return pull * (1.0 / section.stiffness)  # 1 / E J is the same in every pass
     return _slanted_curvature(section, tension, external_moment, start)
@@ -99,7 +100,7 @@ def _slanted_curvature(
 
     if start is not None:
         return step(start)
-    pull = jnp.sum(section.side * section.offset * tension) + external_moment
+    pull = added_up(section.side * section.offset * tension) + external_moment
     return newton(step, pull / section.stiffness, tol.CURVATURE_STEPS)
 
 
@@ -114,7 +115,7 @@ def _moment_gap(given: tuple[CrossSection, PerTendon, float | Number], kappa: Nu
     """E J kappa less the moments of the tendons and M_ext, N m: zero in equilibrium."""
     section, tension, external_moment = given
     arm = section.side * section.offset * tension
-    return section.stiffness * kappa - jnp.sum(arm * tangent(section, kappa).along) - external_moment
+    return section.stiffness * kappa - added_up(arm * tangent(section, kappa).along) - external_moment
 
 
 def _gap_and_slope(given: tuple[CrossSection, PerTendon, float | Number], kappa: Number) -> tuple[Number, Number]:
@@ -144,15 +145,15 @@ def rates(
     t = tangent(section, curvature)
     arm = section.side * section.offset
     pull_rate = section.side * section.offset_slope * t.along + arm * t.along_rate
-    force = jnp.sum(tension * pull_rate) - section.stiffness_rate * curvature + external_moment_rate
+    force = added_up(tension * pull_rate) - section.stiffness_rate * curvature + external_moment_rate
     dragged = drag_loss(direction, section, tension)
     if dragged is not None:
-        force = force - jnp.sum(arm * t.along * dragged)
-    stiffness = section.stiffness - jnp.sum(arm * tension * t.along_slope)
+        force = force - added_up(arm * t.along * dragged)
+    stiffness = section.stiffness - added_up(arm * tension * t.along_slope)
 
     def with_signs(sign: PerTendon) -> Rates:
         friction = bending_loss(direction, section, tension) * sign * arm * t.along
-        kappa_rate = (force - jnp.sum(friction * t.turning)) / (stiffness + jnp.sum(friction * t.turning_slope))
+        kappa_rate = (force - added_up(friction * t.turning)) / (stiffness + added_up(friction * t.turning_slope))
         return Rates(kappa_rate, t.turning + t.turning_slope * kappa_rate)
 
     if _turns_with_the_body(section):

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..numerics import tolerances as tol
-from ..numerics.arrays import cos_sin, largest_size
+from ..numerics.arrays import cos_sin, largest_size, sum_of
 from ..numerics.elements import Quartics, gains_of_length, gains_of_magnitude, slope_in_element
 from ..numerics.rotations import (
     IDENTITY,
@@ -28,7 +28,6 @@ from ..numerics.rotations import (
     small_turn,
     solve_three,
     square_root,
-    sum_of,
     tilt,
     turned_by,
 )

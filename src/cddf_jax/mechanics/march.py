@@ -18,10 +18,10 @@ from jax.tree_util import Partial
 from jaxtyping import Array, Bool, Float
 
 from ..numerics import tolerances as tol
-from ..numerics.arrays import all_finite, computed_once, largest, largest_size, relative_size, zero_as
+from ..numerics.arrays import all_finite, computed_once, largest, largest_size, relative_size, sum_of, zero_as
 from ..numerics.elements import Elements, totals
 from ..numerics.fixed_point import fixed_point, minus, newton, round_off, without_derivative
-from ..numerics.rotations import about, direction_of, parts_of, product, sum_of, turned_across, turned_by
+from ..numerics.rotations import about, direction_of, parts_of, product, turned_across, turned_by
 from ..robot.cross_section import AnySection, where_present
 from . import space
 from .friction import PerTendon, Pull, growth_beyond, is_proportional, ratio_beyond, ratio_factor, spent_rate, wrap_of
@@ -269,14 +269,18 @@ class FixedPoint(eqx.Module):
         return Solution(found.states, count, change, good, locked, found.missed)
 
     def _by_quadrature(self, problem: Problem) -> Solution:
-        """The solution where r is exact after one iteration, from any guess; the next gives the shape."""
+        """The solution where r is exact after one iteration, from any guess; the next gives the shape.
+
+        r is kept also where a tendon that slides out locks further outboard: a trace takes what lies before.
+        """
         straight = unbent(problem)
         first = self.improve(problem, without_derivative(nodal(problem, straight.nodes)))
         finite = all_finite(first.nodes.ratio)
         good = _acceptable(nodal(problem, first.nodes)) & jnp.all(first.tip.ratio > 0)
-        exact = jax.tree.map(lambda new, old: jnp.where(good, new, old), first.states, straight)
-        found = self.improve(problem, nodal(problem, exact.nodes))
-        states = (new._replace(pull=old.pull, growth=old.growth) for new, old in zip(found.states, exact, strict=True))
+        guess = jax.tree.map(lambda new, old: jnp.where(good, new, old), first.nodes, straight.nodes)
+        found = self.improve(problem, nodal(problem, guess))
+        pairs = zip(found.states, first.states, strict=True)
+        states = (state._replace(pull=exact.pull, growth=exact.growth) for state, exact in pairs)
         change, count = jnp.where(finite, 0.0, jnp.inf), ones_at_base(problem)[0]
         return Solution(BodyStates(*states), count, change, good, finite & ~good, found.missed)
 

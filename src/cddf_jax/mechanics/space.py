@@ -21,8 +21,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..numerics import tolerances as tol
+from ..numerics.arrays import added_up
 from ..numerics.fixed_point import newton, slope_along, solve_definite
-from ..numerics.rotations import Quaternion, Vector, cross, dot, first_axis, in_fixed_frame, length_of, sum_of
+from ..numerics.rotations import Quaternion, Vector, cross, dot, first_axis, in_fixed_frame, length_of
 from ..robot.cross_section import SpatialSection, where_present
 from .friction import PerTendon, tension_rate
 
@@ -46,7 +47,7 @@ def strain(section: SpatialSection, tension: PerTendon, loads: Wrench | None, st
     """
     if section.parallel and loads is None:  # no twist, and t = (1, 0, 0)
         moment = jnp.stack([0.0 * tension, -section.arm[:, 2] * tension, section.arm[:, 1] * tension], axis=-1)
-        return _over_tendons(moment) / section.stiffness
+        return added_up(moment) / section.stiffness
     return _strain_of_least_energy(section, tension, loads, start)
 
 
@@ -134,7 +135,7 @@ def slip_rate_in_space(section: SpatialSection, strain: Strain, tension: PerTend
 
 def _gradient(section: SpatialSection, tension: PerTendon, tangent: Vectors, loads: Wrench | None) -> Strain:
     """The derivative of the energy with respect to the strain, without the elastic part."""
-    pull = _over_tendons(tension[:, None] * _by_strain(section, tangent))
+    pull = added_up(tension[:, None] * _by_strain(section, tangent))
     if loads is None:
         return pull
     acting = loads.moment if loads.force is None else jnp.concatenate([loads.moment, loads.force])
@@ -186,14 +187,10 @@ def _tangent_stiffness(
         stretched = jnp.concatenate([jnp.swapaxes(turned, 1, 2), jnp.broadcast_to(eye, turned.shape)], axis=2)
         squares = jnp.concatenate([jnp.concatenate([squares, turned], axis=2), stretched], axis=1)
     across = squares - along[:, :, None] * along[:, None]
-    return jnp.diag(section.stiffness) + _over_tendons((tension / size)[:, None, None] * across)
+    return jnp.diag(section.stiffness) + added_up((tension / size)[:, None, None] * across)
 
 
 def _by_strain(section: SpatialSection, vectors: Vectors) -> Float[Array, "tendons strains"]:
     """The derivative of w by the strain, transposed, times vectors: their moments, and where it can stretch they."""
     moments = cross(section.arm, vectors)
     return jnp.concatenate([moments, vectors], axis=-1) if section.extensible else moments
-
-
-def _over_tendons(values: Float[Array, "tendons *k"]) -> Float[Array, "*k"]:
-    return sum_of(jnp.split(values, values.shape[0]))[0]

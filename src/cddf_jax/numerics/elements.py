@@ -19,7 +19,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from numpy.polynomial import legendre
 
-from .rotations import dot, length_of, parts_of, square_root, sum_of
+from .arrays import sum_of
+from .rotations import dot, length_of, parts_of, square_root
 
 Tree = TypeVar("Tree")
 LARGEST_ORDER = 16  # Gauss nodes in one element

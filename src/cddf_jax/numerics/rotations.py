@@ -5,13 +5,12 @@ themselves the length has the error of the quadrature; every function here divid
 """
 
 from collections.abc import Callable
-from functools import reduce
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .arrays import cos_sin
+from .arrays import cos_sin, sum_of
 
 Vector = Float[Array, "*#points 3"]
 Quaternion = Float[Array, "*#points 4"]
@@ -128,11 +127,6 @@ def small_turn(change: Quaternion, q: Quaternion) -> Vector:
 def dot(a: Float[Array, "*points n"], b: Float[Array, "*points n"]) -> Float[Array, "*points"]:
     """The inner product."""
     return _dot(parts_of(a), parts_of(b))[..., 0]
-
-
-def sum_of(parts: list[Array]) -> Array:
-    """The sum of arrays. In a batch it is faster than XLA's sum over a short axis."""
-    return reduce(jnp.add, parts)
 
 
 def _dot(a: list[Array], b: list[Array]) -> Array:
