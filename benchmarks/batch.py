@@ -7,7 +7,7 @@ equations of exactly this case, for one tendon, by RK4 with 8 and 32 steps, in p
 in turn in one process; times are medians. Errors are those of the tip tension (relative, against the closed form) and
 of the tip position (m, against 48 nodes).
 
-Then 16,384 of the samples under a tip force, in chunks of 256 lanes, beside shooting: RK4 from the base, and the
+Then 16,384 of the samples under a tip force, in chunks of 256 lanes, with the gradient, beside shooting: RK4 from the base, and the
 secant method on M_ext(0) until the moment at the tip is 1e-8 N m. Shooting applies the force in one step. It does not
 locate kinks, and does not ask which equilibrium it found or whether that is stable. The curvature changes sign in a
 tenth of the samples under (0, -1) N, and in all of them under (0, -10) N. There 32 steps are not enough, so 512 are
@@ -207,7 +207,12 @@ def loaded_rows(robot: cddf.Manipulator, samples: tuple) -> dict:
     for force, steps in FORCES.items():
         under = f"under ({force[0]:g}, {force[1]:g}) N"
         theirs = {f"numba, RK4, {n} steps, shooting, {under}": numba_shooting(robot, force, n) for n in steps}
-        functions = {f"`solve`, 16 nodes, {under}": batched(tip(robot, 16, force), LOADED_CHUNK)} | theirs
+        value = tip(robot, 16, force)
+        by_two = jax.grad(lambda *x, value=value: value(*x)[0], (1, 2))
+        functions = {
+            f"`solve`, 16 nodes, {under}": batched(value, LOADED_CHUNK),
+            f"gradient of its tip tension by mu and E, reverse, {under}": batched(by_two, LOADED_CHUNK),
+        } | theirs
         exact = columns(batched(tip(robot, 48, force), LOADED_CHUNK)(*samples))
         rows |= rows_of(functions, samples, next(iter(theirs)), exact)
     return rows
