@@ -7,11 +7,11 @@ equations of exactly this case, for one tendon, by RK4 with 8 and 32 steps, in p
 in turn in one process; times are medians. Errors are those of the tip tension (relative, against the closed form) and
 of the tip position (m, against 48 nodes).
 
-Then 16,384 of the samples under a tip force, in chunks of 256 lanes, with the gradient, beside shooting: RK4 from the base, and the
-secant method on M_ext(0) until the moment at the tip is 1e-8 N m. Shooting applies the force in one step. It does not
-locate kinks, and does not ask which equilibrium it found or whether that is stable. The curvature changes sign in a
-tenth of the samples under (0, -1) N, and in all of them under (0, -10) N. There 32 steps are not enough, so 512 are
-shown too.
+Then 16,384 of the samples under a tip force, in chunks of 256 lanes, and the gradient of each, beside shooting: RK4
+from the base, and the secant method on M_ext(0) until the moment at the tip is 1e-8 N m. Shooting applies the force in
+one step. It does not locate kinks, and does not ask which equilibrium it found or whether that is stable. The curvature
+changes sign in a tenth of the samples under (0, -1) N, and in all of them under (0, -10) N. There 32 steps are not
+enough, so 512 are shown too.
 """
 
 import time
