@@ -55,6 +55,9 @@ def test_help_imports_nothing_heavy():
         (("solve", PAPER), "Missing option '--base-tension' / '-t'"),
         (("solve", PAPER, *PULL, "--bogus"), "No such option: --bogus"),
         (("solve", PAPER, *PULL, "--nodes", "3"), "Invalid value for '--nodes'"),
+        (("fit", PAPER, PULLEY, "--noise", "pulling_tension=0 N"), "sigma of pulley_simulated.csv: pulling_tension mu"),
+        (("reproduce", PAPER, LOAD_CELLS, "--column", "a=trial"), "load_cells_simulated.csv: no column 'a'"),
+        (("reproduce", PAPER, PULLEY), "pulley_simulated.csv: the column tip_tension is missing"),
     ],
 )
 def test_wrong_usage(fails, arguments, message):
@@ -65,18 +68,6 @@ def test_a_wrong_manipulator(fails):
     text = Path(PAPER).read_text().replace("youngs_modulus", "young_modulus")
     said = fails("solve", "robot.toml", *PULL, files={"robot.toml": text})
     assert said == "robot.toml: unknown key 'young_modulus'; did you mean youngs_modulus?"
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("fit", PAPER, PULLEY, "--noise", "pulling_tension=0 N"), "sigma of pulley_simulated.csv: pulling_tension mu"),
-        (("reproduce", PAPER, LOAD_CELLS, "--column", "a=trial"), "load_cells_simulated.csv: no column 'a'"),
-        (("reproduce", PAPER, PULLEY), "pulley_simulated.csv: the column tip_tension is missing"),
-    ],
-)
-def test_options_that_are_refused(fails, arguments, message):
-    assert fails(*arguments, "--out", "folder").startswith(message)
 
 
 def test_files_that_are_not_there(fails):

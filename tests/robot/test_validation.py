@@ -13,11 +13,19 @@ from refusals import refused
 import cddf_jax as cddf
 from cddf_jax.statics.equilibrium_text import describe_crossing
 
-BODY = paper_body("exact")
+BODY, TURN, AT_70_MM = paper_body("exact"), 2 * np.pi, 1e-3 * 70
 
 
 def with_offset(offset, **tendon):
     return replace(BODY, tendons=(cddf.Tendon(offset, **tendon),))
+
+
+def in_space(*tendons, **others):
+    return replace(BODY, tendons=tuple(cddf.Tendon(offset, angle=angle) for offset, angle in tendons), **others)
+
+
+def helix(turns, start=0.0):
+    return cddf.Linear(start, start + TURN * turns, 0.14)
 
 
 @pytest.mark.parametrize(
@@ -31,6 +39,15 @@ def with_offset(offset, **tendon):
         with_offset(0.010, axial_stiffness=1.2e4, free_length=0.3),
         with_offset(cddf.Spline([0.0, 0.05, 0.1, 0.14], [0.012, 0.009, 0.010, 0.009])),
         replace(BODY, outer_radius=cddf.Piecewise([0.07], [cddf.Constant(0.02), cddf.Constant(0.015)])),
+        in_space((0.010, 0.0), (0.010, 2.0), (0.010, 4.0)),
+        in_space((0.010, 0.0), (0.011, 0.0)),  # one above the other
+        in_space((0.010, helix(3)), (0.010, helix(3, 0.1))),  # side by side
+        in_space((0.010, helix(1)), (0.012, helix(-1))),  # one winds around the other
+        in_space((0.010, cddf.Piecewise([0.07], [cddf.Constant(0.5), cddf.Constant(0.5 + TURN)]))),
+        replace(  # one ends before they would meet, at 70 mm
+            BODY, tendons=[cddf.Tendon(0.01, angle=helix(0.25)), cddf.Tendon(0.01, angle=helix(-0.25, 1.57), end=0.069)]
+        ),
+        in_space((0.010, 0.0), poissons_ratio=0.8, rest_curvature=(0.0, helix(1), 2.0)),  # an effective ratio
     ],
 )
 def test_sound_bodies_pass(body):
@@ -104,72 +121,6 @@ def test_scaled_cones_pass_in_either_precision(length, taper, bore, place, dtype
             jax.tree.map(lambda x: np.stack([x, x]), BODY),
             "length must be one number, got shape (2,); validate one manipulator at a time",
         ),
-    ],
-)  # fmt: skip
-def test_refused_with_place_and_remedy(body, message):
-    assert message in refused(body.validate)
-
-
-def test_a_thin_place_between_grid_points_is_seen_at_a_breakpoint():
-    ring = cddf.Piecewise([0.0500123, 0.0500124], [cddf.Constant(r) for r in (0.02, 0.005, 0.02)])
-    message = refused(replace(BODY, outer_radius=ring).validate)
-    assert message.startswith("outer_radius must exceed inner_radius: at s = 50.0123 mm they are 5 mm and 7 mm")
-
-
-def test_offsets_outside_the_wall_may_be_allowed():
-    body = with_offset(0.005)
-    assert body.validate(offsets_outside_wall=True) is body
-    assert "offset must be 0 or more" in refused(with_offset(-0.005).validate, offsets_outside_wall=True)
-
-
-@pytest.mark.parametrize("transformation", [jax.jit, jax.vmap])
-def test_traced_numbers_are_a_type_error(transformation):
-    def validated(modulus):
-        return replace(BODY, youngs_modulus=modulus).validate().youngs_modulus
-
-    with pytest.raises(TypeError, match=r"validate: youngs_modulus is traced; call validate\(\) before jit"):
-        transformation(validated)(jnp.array([1.4e6]))
-
-
-def test_crossing_is_described_where_it_is_worst():
-    # no friction, constant wall: kappa = T d / (E J + T d^2) (published), so d kappa = x / (1 + x), x = T d^2 / (E J)
-    body = replace(BODY, outer_radius=0.020, friction_coefficient=0.0, kinematics="published")
-    x = 900 * 0.01**2 / (1.4e6 * np.pi / 4 * (0.020**4 - 0.007**4))
-    text = describe_crossing(cddf.solve(body, 900.0, throw=False))
-    assert text == f"tendon 1: offset * curvature is {x / (1 + x):.3g} at s = 0 mm"
-
-
-# --- in space ------------------------------------------------------------------------------------
-
-TURN, AT_70_MM = 2 * np.pi, 1e-3 * 70
-
-
-def in_space(*tendons, **others):
-    return replace(BODY, tendons=tuple(cddf.Tendon(offset, angle=angle) for offset, angle in tendons), **others)
-
-
-def helix(turns, start=0.0):
-    return cddf.Linear(start, start + TURN * turns, 0.14)
-
-
-@pytest.mark.parametrize(
-    "body",
-    [
-        in_space((0.010, 0.0), (0.010, 2.0), (0.010, 4.0)),
-        in_space((0.010, 0.0), (0.011, 0.0)),  # one above the other
-        in_space((0.010, helix(3)), (0.010, helix(3, 0.1))),  # side by side
-        in_space((0.010, helix(1)), (0.012, helix(-1))),  # one winds around the other
-        in_space((0.010, cddf.Piecewise([0.07], [cddf.Constant(0.5), cddf.Constant(0.5 + TURN)]))),
-        in_space((0.010, 0.0), poissons_ratio=0.8, rest_curvature=(0.0, helix(1), 2.0)),  # an effective ratio
-    ],
-)
-def test_sound_bodies_in_space_pass(body):
-    assert body.validate() is body
-
-
-@pytest.mark.parametrize(
-    ("body", "message"),
-    [
         (
             in_space((0.010, 1.0), (0.012, 0.0), (0.010, 1.0 + TURN)),
             "tendons 1 and 3 must not touch or cross: at s = 0 mm both lie 10 mm from the axis at 57.2958 deg; "
@@ -217,11 +168,34 @@ def test_sound_bodies_in_space_pass(body):
         ),
     ],
 )  # fmt: skip
-def test_bodies_in_space_refused_with_place_and_remedy(body, message):
+def test_refused_with_place_and_remedy(body, message):
     assert message in refused(body.validate)
 
 
-def test_tendons_may_meet_beyond_the_end_of_one():
-    one, other = cddf.Tendon(0.010, angle=helix(0.25)), cddf.Tendon(0.010, angle=helix(-0.25, TURN / 4), end=0.069)
-    body = replace(BODY, tendons=(one, other))
-    assert body.validate() is body
+def test_a_thin_place_between_grid_points_is_seen_at_a_breakpoint():
+    ring = cddf.Piecewise([0.0500123, 0.0500124], [cddf.Constant(r) for r in (0.02, 0.005, 0.02)])
+    message = refused(replace(BODY, outer_radius=ring).validate)
+    assert message.startswith("outer_radius must exceed inner_radius: at s = 50.0123 mm they are 5 mm and 7 mm")
+
+
+def test_offsets_outside_the_wall_may_be_allowed():
+    body = with_offset(0.005)
+    assert body.validate(offsets_outside_wall=True) is body
+    assert "offset must be 0 or more" in refused(with_offset(-0.005).validate, offsets_outside_wall=True)
+
+
+@pytest.mark.parametrize("transformation", [jax.jit, jax.vmap])
+def test_traced_numbers_are_a_type_error(transformation):
+    def validated(modulus):
+        return replace(BODY, youngs_modulus=modulus).validate().youngs_modulus
+
+    with pytest.raises(TypeError, match=r"validate: youngs_modulus is traced; call validate\(\) before jit"):
+        transformation(validated)(jnp.array([1.4e6]))
+
+
+def test_crossing_is_described_where_it_is_worst():
+    # no friction, constant wall: kappa = T d / (E J + T d^2) (published), so d kappa = x / (1 + x), x = T d^2 / (E J)
+    body = replace(BODY, outer_radius=0.020, friction_coefficient=0.0, kinematics="published")
+    x = 900 * 0.01**2 / (1.4e6 * np.pi / 4 * (0.020**4 - 0.007**4))
+    text = describe_crossing(cddf.solve(body, 900.0, throw=False))
+    assert text == f"tendon 1: offset * curvature is {x / (1 + x):.3g} at s = 0 mm"
