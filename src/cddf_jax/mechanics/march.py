@@ -258,14 +258,12 @@ class FixedPoint(eqx.Module):
     def __call__(self, problem: Problem) -> Solution:
         if problem.is_quadrature:
             return self._by_quadrature(problem)
-        least, straight, off = self.tolerance_of(problem), unbent(problem).nodes, jnp.inf
-        start = nodal(problem, straight), straight.strain
+        least, guess, off = self.tolerance_of(problem), nodal(problem, unbent(problem).nodes), jnp.inf
         if _follows_the_axis(problem):
-            start, off = _once(problem, start)
-        settings = {"tolerance": least, "max_iterations": self.max_iterations, "off": off}
-        settings |= {"acceptable": lambda last: _acceptable(last[0]), "size": _change_of_unknowns}
-        last, count, change, good = fixed_point(Partial(_improved, problem), start, **settings)
-        found = self.improve(problem, *last)
+            guess, off = _once(problem, guess)
+        settings = {"tolerance": least, "max_iterations": self.max_iterations, "acceptable": _acceptable, "off": off}
+        values, count, change, good = fixed_point(Partial(_improved, problem), guess, **settings)
+        found = self.improve(problem, values)
         good = good & jnp.all(found.tip.ratio > 0)
         locked = (change <= least) & ~good
         return Solution(found.states, count, change, good, locked, found.missed)
@@ -314,16 +312,8 @@ class FixedPoint(eqx.Module):
         return max(1e-12, round_off(problem.elements.edges.dtype)) if self.tolerance is None else self.tolerance
 
 
-Last = tuple[Nodal, Array | None]  # the unknowns at the nodes, and the elastic strain there where it is iterated too
-
-
-def _improved(problem: Problem, last: Last) -> Last:
-    _, nodes, _, elastic, _ = march(problem, *last)
-    return nodal(problem, nodes), starts_of_newton(problem, elastic)[1]
-
-
-def _change_of_unknowns(change: Last, value: Last) -> Number:
-    return relative_size(change[0], value[0])
+def _improved(problem: Problem, guess: Nodal) -> Nodal:
+    return nodal(problem, march(problem, guess)[1])
 
 
 def _acceptable(values: Nodal) -> Bool[Array, ""]:
@@ -336,14 +326,14 @@ def _follows_the_axis(problem: Problem) -> bool:
     return problem.geometry.has_frames and closed and is_proportional(problem.nodes)
 
 
-def _once(problem: Problem, start: Last) -> tuple[Last, Number]:
+def _once(problem: Problem, guess: Nodal) -> tuple[Nodal, Number]:
     """The ratio r of tendons that follow the axis after one iteration; how far it is off: zero if friction is alike.
 
     If all tendons have the same friction, all tensions fall alike, and |M| r is the moment of the base tensions:
     r' = direction mu |M(0)| / (E J).
     """
     growth = problem.direction * problem.manipulator.tendon_friction
-    return _improved(problem, start), jnp.where(jnp.all(growth == growth[0]), 0.0, jnp.inf)
+    return _improved(problem, guess), jnp.where(jnp.all(growth == growth[0]), 0.0, jnp.inf)
 
 
 def _solved(problem: Problem, starts: State, nodes: State, ends: State, elastic: Array) -> BodyStates:
