@@ -10,7 +10,7 @@ nodes, each divided at the root of the rate.
 
 from collections.abc import Callable
 from functools import lru_cache, partial, reduce
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -125,23 +125,37 @@ def quartics(values: Float[Array, "p *k"]) -> Quartics:
     return tuple(jnp.split(coefficients, 5))  # with indices, gradients of batches under loads take a third longer
 
 
-@jax.custom_jvp
+def with_slopes(function: Callable[..., Array]) -> Callable[..., Array]:
+    """A function of arrays each entry of whose result depends on the entries, or vectors, at the same place only.
+
+    Its derivative is a sum of products of slopes and changes, so that what has to be iterated is small; the slopes are
+    found once. By the rules of its operations a gradient of a batch under loads takes a third longer.
+    """
+
+    @jax.custom_jvp
+    def known(*given: Any) -> Array:
+        return function(*given)
+
+    @known.defjvp
+    def _(given: tuple, changes: tuple) -> tuple[Array, Array]:
+        value, slopes_times = jax.vjp(function, *given)
+        products = jax.tree.map(jnp.multiply, slopes_times(jnp.ones_like(value)), changes)
+        entries, vectors = [], []
+        for product in jax.tree.leaves(products):
+            (entries if product.ndim == value.ndim else vectors).append(product)
+        if vectors:
+            entries.append(sum_of(parts_of(sum_of(vectors)))[..., 0])
+        return value, sum_of(entries)
+
+    return known
+
+
+@with_slopes
 def gains_of_magnitude(rate: Quartics) -> Float[Array, "q *k"]:
     """The integral of |rate| over each sub-interval, which is divided where the rate changes its sign."""
-    return _gains_by_sign(rate, rate)
-
-
-@gains_of_magnitude.defjvp
-def _(primals: tuple[Quartics], tangents: tuple[Quartics]) -> tuple[Array, Array]:
-    # the root moves, but there the rate is zero
-    return gains_of_magnitude(*primals), _gains_by_sign(*primals, *tangents)
-
-
-def _gains_by_sign(rate: Quartics, values: Quartics) -> Float[Array, "q *k"]:
-    """The integral of values times the sign of a rate, which is 1 where the rate is 0."""
-    whole, (crosses, root) = _integral(values, 1.0), _roots(rate)
+    whole, (crosses, root) = _integral(rate, 1.0), _roots(rate)
     left = (rate[0] < 0) | (~crosses & (sum(rate) < 0))
-    signed = jnp.where(crosses, 2 * _integral(values, root) - whole, whole)
+    signed = jnp.where(crosses, 2 * _integral(rate, root) - whole, whole)
     return _along(_rule_of(rate).step, whole) * jnp.where(left, -signed, signed)
 
 
@@ -247,16 +261,18 @@ def switched(
     cuts = jnp.clip((places[:, None] - starts) / step, 0.0, 1.0)
     whole = jnp.ones_like(cuts[:1])
     first, last = jnp.concatenate([0 * whole, cuts]), jnp.concatenate([cuts, whole])
-    wide = first.shape + (1,) * (branches.ndim - 2)  # the rates may be vectors
-    parts = jax.vmap(lambda curve, a, b: size(_integral(curve, b) - _integral(curve, a)))
-    found = parts(curve, first.reshape(wide), last.reshape(wide))
-    found = _along(rule.step, found[0]) * found
+    shape = jax.eval_shape(size, curve[0]).shape  # the rates may be vectors
+    first, last = (jnp.broadcast_to(x.reshape(x.shape + (1,) * (len(shape) - 2)), shape) for x in (first, last))
+
+    def between(curve: Quartics, a: Array, b: Array) -> Array:
+        a, b = (x.reshape(x.shape + (1,) * (curve[0].ndim - x.ndim)) for x in (a, b))
+        return size(_integral(curve, b) - _integral(curve, a))
+
+    found = _along(rule.step, first[0]) * with_slopes(between)(curve, first, last)
     # without the choice XLA hands the sum to a library that takes ten times as long for so few terms
-    wide = first.shape + (1,) * (found.ndim - 2)
-    found = jnp.where((first < last).reshape(wide), found, 0.0)
+    found = jnp.where(first < last, found, 0.0)
     if gains is not None:
-        undivided = ((first <= 0) & (last >= 1)).reshape(wide)
-        found = jnp.where(undivided, jax.vmap(gains)(branches, curve), found)
+        found = jnp.where((first <= 0) & (last >= 1), jax.vmap(gains)(branches, curve), found)
     return jnp.sum(found, axis=0)
 
 
@@ -271,23 +287,9 @@ def gains_of_length(rate: Float[Array, "p *k n"], curve: Quartics) -> Float[Arra
     return _along(rule.step, inner) * (inner + _missed(curve))
 
 
-@jax.custom_jvp
+@with_slopes
 def _missed(curve: Quartics) -> Float[Array, "q *k"]:
-    """The integral of the length of quartics over [0, 1] less that by Gauss points."""
-    return _missed_of_length(curve)
-
-
-@_missed.defjvp
-def _(primals: tuple[Quartics], tangents: tuple[Quartics]) -> tuple[Array, Array]:
-    """By the slopes of each integral, so that what is linear in the change is a sum of products."""
-    found, slopes_times = jax.vjp(_missed_of_length, *primals)
-    (slopes,) = slopes_times(jnp.ones_like(found))
-    changes = sum_of([slope * change for slope, change in zip(slopes, *tangents, strict=True)])
-    return found, sum_of(parts_of(changes))[..., 0]
-
-
-def _missed_of_length(curve: Quartics) -> Float[Array, "q *k"]:
-    """The integral of the length less that by Gauss points.
+    """The integral of the length of quartics over [0, 1] less that by Gauss points.
 
     Near its minimum z, the length is about the root of alpha^2 + beta^2 (t - z)^2, whose integral has a closed form.
     The rest is integrated by Gauss points on either side of z.
