@@ -124,7 +124,8 @@ def with_smooth_ratios(
     late = jnp.concatenate([jnp.zeros((1, *own.shape), bool), passed])
     beyond = jnp.asarray(gauss_rule(len(pull.ratio)).nodes, pull.ratio.dtype)[:, None] > own
     shift = jnp.where(late[:, None], 1.0, 0.0) - jnp.where(beyond, 1.0, 0.0)
-    ratios = jnp.stack([pull.ratio + each * (direction * differs) for each in shift])  # one product is slow in reverse
+    # branch by branch: as one product of arrays, a gradient of a batch takes longer
+    ratios = jnp.stack([pull.ratio + each * (direction * differs) for each in shift])
     size = jnp.maximum(jnp.abs(ratios), jnp.finfo(ratios.dtype).eps)
     signs = None if signs is None else jnp.where(late, signs[1], signs[0])
     return Tensions(where_present(section, taut * left / size), ratios, places, signs)

@@ -191,6 +191,6 @@ def _tangent_stiffness(
 
 
 def _by_strain(section: SpatialSection, vectors: Vectors) -> Float[Array, "tendons strains"]:
-    """The derivative of w by the strain, transposed, times vectors: their moments, and where it can stretch they."""
+    """The products of vectors with dw/de: their moments about the axis, and the vectors too where it can stretch."""
     moments = cross(section.arm, vectors)
     return jnp.concatenate([moments, vectors], axis=-1) if section.extensible else moments
