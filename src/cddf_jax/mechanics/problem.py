@@ -378,10 +378,23 @@ def line_up(base: Array, nodes: Array, tip: Array) -> Array:
     return jnp.concatenate([base[None], nodes.reshape(-1, *base.shape), tip[None]])
 
 
-def all_points(problem: Problem, solution: Solution) -> tuple[AnySection, State]:
+def all_points(problem: Problem, states: BodyStates) -> tuple[AnySection, State]:
     """The cross-sections and states at base, Gauss nodes and tip."""
-    base = jax.tree.map(lambda x: x[0], solution.states.starts)
-    return problem.points, jax.tree.map(line_up, base, solution.nodes, solution.tip)
+    base, tip = (jax.tree.map(lambda x, at=at: x[at], ends) for ends, at in ((states.starts, 0), (states.ends, -1)))
+    return problem.points, jax.tree.map(line_up, base, states.nodes, tip)
+
+
+def fibres_cross(problem: Problem, states: BodyStates) -> Bool[Array, ""]:
+    """Whether sigma d kappa of a tendon that is present reaches 1 at base, nodes or tip.
+
+    In space it is by how much the fibre at the tendon is shorter than the axis at rest.
+    """
+
+    def inside(section: AnySection, state: State) -> Number:
+        strain = strain_of(section, problem.base_tension, state)
+        return jnp.max(where_present(section, problem.geometry.inside(section, strain), -jnp.inf))
+
+    return jnp.any(jax.vmap(inside)(*all_points(problem, states)) >= 1.0)
 
 
 def at_nodes(function: Callable[..., Array], in_axes: tuple[int | None, ...]) -> Callable[..., Array]:

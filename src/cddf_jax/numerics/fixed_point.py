@@ -131,25 +131,6 @@ def solve_by_iteration(push: Callable[[Tree], Tree], pushed: Tree, max_iteration
     )
 
 
-def slopes_by_unknowns(
-    push: Callable[[Tree, Unknowns], tuple[Tree, Result]], values: Tree, unknowns: Unknowns
-) -> tuple[Tree, Result]:
-    """The slopes of the values, and of all that follows from them, by the unknowns, which stand along a leading axis.
-
-    They have no derivatives in reverse mode.
-
-    Args:
-        push: (values, unknowns) -> better values and what else follows, linearised at the values and unknowns.
-        values, unknowns: where.
-    """
-
-    def by(unit: Unknowns) -> tuple[Tree, Result]:
-        start = jax.tree.map(lambda x: jnp.zeros_like(x) + 0.0 * unit[0], jax.eval_shape(push, values, unit))
-        return by_iteration(lambda slopes: push(slopes[0], unit), start, tol.MAX_ITERATIONS)
-
-    return jax.vmap(by)(jnp.eye(unknowns.size, dtype=unknowns.dtype) + zero_as(unknowns, values))
-
-
 def by_iteration(again: Callable[[Tree], Tree], first: Tree, max_iterations: int) -> Tree:
     """The values that a linear update leaves as they are; NaN where its iteration does not settle.
 

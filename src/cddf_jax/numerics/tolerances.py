@@ -6,6 +6,7 @@ CURVATURE_STEPS = 8  # from the curvature of parallel tendons: enough for roundi
 STRAIN_STEPS = 6  # from the strain at rest: likewise for a cross-section in space
 JOINT_STEPS = 6  # of r beyond a joint: r changes the angle there by mu d d' kappa only
 REFINED = 1e-9  # the change that stands before the first march on finer nodes: so a change of 3e-11 there is the last
+SAME_SLOPES = 1e2  # times the tolerance of the march: change of slopes by tensions that are searched for
 LAST_GAIN = 64.0  # times the tolerance of the march: above it another march is made, also where marches converge fast
 
 # directions of sliding

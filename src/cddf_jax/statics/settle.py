@@ -14,13 +14,26 @@ import jax.numpy as jnp
 from ..mechanics.directions import find_directions, travel_under_tension
 from ..mechanics.friction import PerTendon
 from ..mechanics.march import FixedPoint, unbent
-from ..mechanics.problem import BodyStates, Method, Nodal, Number, Problem, lay_out, loaded_to, nodal, state_at_nodes
+from ..mechanics.problem import (
+    BodyStates,
+    Method,
+    Nodal,
+    Number,
+    Problem,
+    fibres_cross,
+    lay_out,
+    loaded_to,
+    nodal,
+    state_at_nodes,
+)
 from ..mechanics.tendon_displacement import tendon_displacement
 from ..numerics.arrays import varying_as, zero_as
+from ..numerics.fixed_point import Unknowns
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from .continuation import LoadPath, follow_loads
-from .shooting import Flag, LoadedBody, Slopes, no_slopes
+from .shooting import LoadedBody
+from .system import Equations, Flag, Slopes, System, no_equations, no_slopes, polish
 
 
 class Setup(eqx.Module):
@@ -30,6 +43,9 @@ class Setup(eqx.Module):
     rough: Problem | None  # likewise; None without loads
     method: Method
     to_find: tuple[int, ...] = eqx.field(static=True)  # the tendons whose direction is not stated
+    unknown: tuple[int, ...] = eqx.field(static=True, default=())  # those whose tension is searched for
+    equations: Equations = no_equations  # of the targets
+    num_targets: int = eqx.field(static=True, default=0)
 
     @property
     def manipulator(self) -> Manipulator:
@@ -42,6 +58,14 @@ class Setup(eqx.Module):
         given = self.problem
         return zero_as(given.manipulator, given.base_tension, given.direction, given.loads)
 
+    def system(self, settled: "Settled") -> System:
+        """What an equilibrium has to fulfil. Where the path of the loads ended early, it is under those of its end."""
+        problem, path = self.sliding(settled.direction).problem, settled.load_path
+        if problem.loads is not None:
+            fraction = jnp.where(path.converged, 1.0, path.fraction)
+            problem = loaded_to(problem, fraction, path.base_moment * problem.moment_scale)
+        return System(self.method, problem, self.equations, self.unknown)
+
     @property
     def iteration(self) -> FixedPoint:
         """The method of a loaded body, whose iterations go on together with those of the moment at the base."""
@@ -51,6 +75,10 @@ class Setup(eqx.Module):
     def pulled(self, base_tension: PerTendon) -> "Setup":
         """The same with other base tensions, N."""
         return _with(self, base_tension=base_tension)
+
+    def searching(self, unknown: tuple[int, ...], equations: Equations, num_targets: int) -> "Setup":
+        """The same with tendons whose tension is searched for, and equations of the targets."""
+        return replace(self, unknown=unknown, equations=equations, num_targets=num_targets)
 
     def sliding(self, direction: PerTendon) -> "Setup":
         """The same with other directions."""
@@ -85,7 +113,9 @@ class Settled(NamedTuple):
     travel: PerTendon  # with which directions are compared, m
     nodal: Nodal | None  # the unknowns of the march, those of `unbent` where none were found; None without loads
     states: BodyStates | None  # along the body, likewise
-    slopes: Slopes  # by the base moment, approximately; by tensions and base moment where tensions were searched for
+    slopes: Slopes  # by the unknowns of the system; approximately, where no tension is searched for
+    residual: Unknowns  # of the system
+    crossing: Flag  # whether fibres cross; not known where no tension is searched for
     missed: Number | float  # as in a `Solution`
     change: Number  # in the last iteration, relative
     num_iterations: Number
@@ -93,25 +123,15 @@ class Settled(NamedTuple):
     error_amplification: Number  # the factor by which errors along the body grow
 
 
-def place(setup: Setup, settled: Settled) -> Problem:
-    """The problem that one march solves. Where the path of the loads ended early, it is under the loads of its end."""
-    problem = setup.sliding(settled.direction).problem
-    if problem.loads is None:
-        return problem
-    found = settled.load_path
-    fraction = jnp.where(found.converged, 1.0, found.fraction)
-    return loaded_to(problem, fraction, found.base_moment * problem.moment_scale)
-
-
 def settle(setup: Setup) -> Settled:
     """Find the directions that are not stated, and the moment at the base; without derivatives."""
-    loaded = setup.problem.loads is not None
+    settled = _loaded if setup.problem.loads is not None else _unloaded
     if not setup.to_find:
-        return _loaded(setup) if loaded else _nothing_to_find(setup)
+        return settled(setup)
 
     def attempt(direction: PerTendon) -> tuple[Settled, PerTendon, Flag]:
-        settled = (_loaded if loaded else _unloaded)(setup.sliding(direction))
-        return settled, settled.travel, settled.load_path.converged
+        found = settled(setup.sliding(direction))
+        return found, found.travel, found.load_path.converged
 
     start, tension = unsettled(setup), setup.problem.base_tension
     return find_directions(setup.manipulator, tension, start.direction, setup.to_find, attempt, start)
@@ -119,29 +139,22 @@ def settle(setup: Setup) -> Settled:
 
 def unsettled(setup: Setup) -> Settled:
     """Where `settle` starts: no loads, no friction."""
-    start, problem = _nothing_to_find(setup), setup.problem
-    if problem.loads is None:
-        return start
-    zero = start.num_iterations
-    path = start.load_path._replace(base_moment=0.0 * problem.base_moment + zero, fraction=zero)
-    states = varying_as(unbent(problem), zero)
-    values = nodal(problem, states.nodes)
-    count = max(problem.base_moment.size, 1)
-    return start._replace(load_path=path, nodal=values, states=states, slopes=no_slopes(values, count, count, zero))
-
-
-def _nothing_to_find(setup: Setup) -> Settled:
-    """Without loads, and where all directions are stated."""
-    zero = setup.zero
-    true = zero == 0
-    path = LoadPath(zero, zero + 1.0, zero, converged=true, stable=true, resolved=true)
+    zero, problem = setup.zero, setup.problem
+    loaded, true = problem.loads is not None, zero == 0
+    moment = 0.0 * problem.base_moment + zero if loaded else zero
+    states = varying_as(unbent(problem), zero) if loaded else None
+    values = None if states is None else nodal(problem, states.nodes)
+    moments = max(problem.base_moment.size, 1) if loaded else 0
+    slopes = no_slopes(values, len(setup.unknown) + moments, setup.num_targets + moments, zero)
     return Settled(
-        direction=setup.problem.direction + zero,
-        load_path=path,
-        travel=setup.problem.base_tension + zero,
-        nodal=None,
-        states=None,
-        slopes=no_slopes(None, 0, 0, zero),
+        direction=problem.direction + zero,
+        load_path=LoadPath(moment, zero if loaded else zero + 1.0, zero, converged=true, stable=true, resolved=true),
+        travel=problem.base_tension + zero,
+        nodal=values,
+        states=states,
+        slopes=slopes,
+        residual=jnp.zeros(setup.num_targets + moments) + zero,
+        crossing=~true,
         missed=zero,
         change=zero,
         num_iterations=zero,
@@ -154,13 +167,14 @@ def _loaded(setup: Setup) -> Settled:
     """Follow the loads on the rough body, then settle the body with its kinks."""
     assert setup.rough is not None
     start = unsettled(setup)
-    rough, body = (LoadedBody(problem, setup.iteration) for problem in (setup.rough, setup.problem))
+    rough = LoadedBody(setup.rough, setup.iteration)
     path, end = follow_loads(rough, start.num_iterations)
+    system = setup.system(start._replace(load_path=path))
+    found, num_iterations = polish(system, rough.roughly(end, system, setup.num_targets), rough.turned_by_moment(end))
     pull = state_at_nodes(rough.problem, rough.nodal(end.values), end.strain).pull
-    slopes = rough.slopes_by_moment(end, body)
-    found, num_iterations = rough.refine(end, slopes, body, path.fraction)
+    moment = found.unknowns[len(setup.unknown) :].reshape(path.base_moment.shape)
     path = path._replace(
-        base_moment=jnp.where(path.converged, found.moment, path.base_moment),
+        base_moment=jnp.where(path.converged, moment, path.base_moment),
         converged=path.converged & found.settled,
         resolved=path.resolved & (found.settled | ~path.converged),
     )
@@ -171,7 +185,9 @@ def _loaded(setup: Setup) -> Settled:
         travel=travel_under_tension(rough.problem, pull, rough.travel_rate(end, path.fraction)),
         nodal=jax.tree.map(settled, found.nodal, start.nodal),
         states=jax.tree.map(settled, found.states, start.states),
-        slopes=slopes,
+        slopes=found.slopes,
+        residual=found.residual,
+        crossing=fibres_cross(system.at(found.unknowns), found.states) if setup.unknown else start.crossing,
         missed=found.missed,
         change=found.change,
         num_iterations=num_iterations,
@@ -181,9 +197,17 @@ def _loaded(setup: Setup) -> Settled:
 
 
 def _unloaded(setup: Setup) -> Settled:
-    """The travel of the tendons of a body without loads."""
-    problem = setup.problem
-    found = setup.method(problem)
-    travel = travel_under_tension(problem, found.nodes.pull, tendon_displacement(problem, found.nodes))
-    start = _nothing_to_find(setup)
-    return start._replace(travel=travel, load_path=start.load_path._replace(converged=found.converged))
+    """The travel of the tendons of a body without loads, and where tensions are searched for their slopes."""
+    start, problem = unsettled(setup), setup.problem
+    if not (setup.to_find or setup.unknown):
+        return start
+    system = setup.system(start)
+    _, residual, slopes, found = system.with_slopes(None, system.with_moment(start.load_path.base_moment), start.slopes)
+    pull = found.nodes.pull
+    return start._replace(
+        travel=travel_under_tension(problem, pull, tendon_displacement(problem, found.nodes)),
+        load_path=start.load_path._replace(converged=found.converged),
+        slopes=slopes,
+        residual=residual,
+        crossing=fibres_cross(problem, found.states) if setup.unknown else start.crossing,
+    )

@@ -6,13 +6,13 @@ with the slopes of all values by M_ext(0), and then takes one Newton step.
 """
 
 from functools import partial
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from ..mechanics.friction import PerTendon
 from ..mechanics.march import FixedPoint, unbent
@@ -25,17 +25,13 @@ from ..mechanics.problem import (
     Solution,
     line_up,
     loaded_to,
-    nodal,
     state_at_nodes,
 )
 from ..mechanics.tendon_displacement import tendon_displacement
 from ..numerics import tolerances as tol
-from ..numerics.arrays import computed_once, largest_size, relative_size, varying_as, zero_as
-from ..numerics.fixed_point import Unknowns, picard
-
-Tree = TypeVar("Tree")
-Flag = Bool[Array, ""]
-
+from ..numerics.arrays import largest_size, relative_size, varying_as, zero_as
+from ..numerics.elements import Elements
+from .system import Flag, Polished, Slopes, System, few_round_offs, magnitude, moment_left_at_tip, newton_step
 
 # The values of a loaded body in one array, as XLA compiles a kernel for every array that a loop carries. Rows: r of
 # each tendon, M_ext over its scale, and the heading; in space twice the quaternion, whose change is an angle. Columns:
@@ -69,38 +65,6 @@ class _March(NamedTuple):
     solution: Solution
 
 
-class Slopes(NamedTuple):
-    """Slopes by the unknowns, which stand along the leading axis.
-
-    The unknowns are the tensions that are searched for, N, and M_ext(0) over its scale.
-    """
-
-    nodal: Nodal | None  # None without loads
-    residual: Float[Array, "unknowns equations"]
-
-    def moved(self, values: Tree, step: Unknowns) -> Tree:
-        """The values after a step of the unknowns."""
-        return jax.tree.map(lambda x, slope: x + jnp.tensordot(step, slope, 1), values, self.nodal)
-
-
-def no_slopes(nodal: Nodal | None, unknowns: int, equations: int, zero: Number) -> Slopes:
-    """Slopes of a body that has not moved."""
-    still = jax.tree.map(lambda x: jnp.zeros((unknowns, *x.shape), x.dtype) + zero, nodal)
-    return Slopes(still, jnp.eye(unknowns, equations, dtype=zero.dtype) + zero)
-
-
-class Polished(NamedTuple):
-    """An iterate of the chord method."""
-
-    moment: Moment  # M_ext(0) over its scale
-    nodal: Nodal
-    states: BodyStates  # of the last march
-    missed: Number | float  # as in a `Solution`
-    settled: Flag
-    lost: Flag
-    change: Number
-
-
 class LoadedBody(NamedTuple):
     """A body, to be solved at any load fraction and with any moment at its base."""
 
@@ -124,13 +88,13 @@ class LoadedBody(NamedTuple):
         strain, none, true = varying_as(unbent(problem).nodes.strain, zero), zero > 0, zero == 0
         return Iterate(start, slopes, by, strain, none, none, none, none, true, zero, zero)
 
-    def nodal(self, values: Values, finer: "LoadedBody | None" = None) -> Nodal:
+    def nodal(self, values: Values, finer: Elements | None = None) -> Nodal:
         """The unknowns of a march; those of `finer` elements, where they are given."""
         elements = self.problem.elements
         inner = jnp.moveaxis(values[..., 1:-1], -2, -1)
         inner = inner.reshape(*values.shape[:-2], *elements.nodes.shape, -1)
         if finer is not None:
-            refined = partial(elements.refined, finer=finer.problem.elements)
+            refined = partial(elements.refined, finer=finer)
             inner = refined(inner) if values.ndim == 2 else jax.vmap(refined)(inner)
         ratio, moment, heading = jnp.split(inner, self._rows, axis=-1)
         moment = moment.reshape(*moment.shape[:-1], *self.problem.base_moment.shape)
@@ -163,13 +127,13 @@ class LoadedBody(NamedTuple):
         """
         new = self._march_with_slopes(before, fraction, by_loads)
         moment, turned, solution = self.moment(before.values), self.headings(new.slopes), new.solution
-        newton, off = _newton_step(self.problem, moment, new.residual, turned, new.residual_slopes)
+        newton, off = newton_step(self.problem, moment, new.residual, turned[:-1], new.residual_slopes[:-1])
         # where the march is less accurate than the residual is large, the residual may be an error of the march
         inaccurate = (solution.residual > magnitude(new.residual)) & ~solution.converged
         step = jnp.where(inaccurate, 0.0, newton)
         sane = jnp.isfinite(magnitude(newton)) & jnp.isfinite(solution.residual) & ~solution.locked
         changed = relative_size(new.residual_slopes - before.residual_slopes, new.residual_slopes)
-        settled = sane & solution.converged & (jnp.maximum(off, changed) <= 2 * _round_off(off) ** 0.5)
+        settled = sane & solution.converged & (jnp.maximum(off, changed) <= 2 * few_round_offs(off) ** 0.5)
         near = sane & self._is_near(before, new, jnp.maximum(off, solution.residual), fraction)
         return Iterate(
             values=new.values + along_moment(new.slopes, step),
@@ -214,43 +178,26 @@ class LoadedBody(NamedTuple):
             steady &= relative_size(turns - last, turns) <= tol.STEADY
         return (off <= enough) & steady
 
-    def slopes_by_moment(self, end: Iterate, finer: "LoadedBody") -> Slopes:
-        """The slopes of an equilibrium by M_ext(0) over its scale, at the nodes of the same body without roughness."""
-        count = len(end.residual_slopes) - 1
-        return Slopes(self.nodal(end.slopes[:count], finer), end.residual_slopes[:count].reshape(count, count))
-
-    def refine(self, end: Iterate, slopes: Slopes, finer: "LoadedBody", fraction: Number) -> tuple["Polished", Number]:
-        """The equilibrium of the same body without roughness, by the chord method.
+    def roughly(self, end: Iterate, system: System, targets: int) -> Polished:
+        """An equilibrium of this body as the start of `polish`, for the same body without roughness.
 
         Args:
-            end: an equilibrium of this body.
-            slopes: of `slopes_by_moment`.
-            finer: the body with its kinks.
-            fraction: of the loads.
-
-        Returns:
-            The equilibrium, and the number of iterations.
+            end: an equilibrium.
+            system: the body without roughness.
+            targets: their number.
         """
-        rest, zero, turned = unbent(finer.problem), zero_as(end), self.headings(end.slopes)
-
-        def chord(last: Polished) -> tuple[Polished, Number]:
-            here = finer.at(last.moment, fraction, 1.0 + zero)
-            solution = finer.method.improve(here, last.nodal, last.states.nodes.strain, last.change)
-            residual = moment_left_at_tip(here, solution)
-            step, off = _newton_step(self.problem, last.moment, residual, turned, end.residual_slopes)
-            moved = slopes.moved(nodal(here, solution.nodes), jnp.atleast_1d(step))
-            change = jnp.maximum(solution.residual, off)
-            settled = solution.converged & (off <= finer.method.tolerance_of(finer.problem))
-            lost = solution.locked | ~jnp.isfinite(change)
-            found = Polished(last.moment + step, moved, solution.states, solution.missed, settled, lost, change)
-            return found, jnp.where(settled | lost, zero, 1.0)
-
-        strain = None if end.strain is None else self.problem.elements.refined(end.strain, finer.problem.elements)
+        finer, zero, count = system.problem.elements, zero_as(end), len(end.residual_slopes) - 1
+        rest = unbent(system.problem)
+        strain = None if end.strain is None else self.problem.elements.refined(end.strain, finer)
         states = varying_as(rest._replace(nodes=rest.nodes._replace(strain=strain)), zero)
-        values, moment = self.nodal(end.values, finer), self.moment(end.values)
-        start = Polished(moment, values, states, zero, zero > 0, zero > 0, zero + tol.REFINED)
-        found, _, count = picard(chord, start, 0.0, finer.method.max_iterations)
-        return found, count
+        by_moment = self.nodal(end.slopes[:count], finer), end.residual_slopes[:count].reshape(count, count)
+        slopes = Slopes(*by_moment).beside(len(system.unknown), targets)
+        start = system.with_moment(self.moment(end.values)) + zero, self.nodal(end.values, finer), states
+        return Polished(*start, slopes, slopes.residual[0], zero, zero > 0, zero > 0, zero + tol.REFINED)
+
+    def turned_by_moment(self, iterate: Iterate) -> Array:
+        """The slopes of the headings by M_ext(0) over its scale."""
+        return self.headings(iterate.slopes[:-1])
 
     def is_stable(self, iterate: Iterate) -> Flag:
         """Whether the smallest eigenvalue of the tangent is positive: no conjugate point along the body."""
@@ -306,28 +253,3 @@ def values_along(problem: Problem, states: BodyStates) -> Values:
 def along_moment(slopes: Array, change: Moment) -> Array:
     """The change of numbers with these slopes by a change of M_ext(0), over its scale."""
     return change * slopes[0] if change.ndim == 0 else jnp.tensordot(change, slopes[:-1], 1)
-
-
-def magnitude(moment: Array) -> Number:
-    """The largest component."""
-    return jnp.abs(moment) if moment.ndim == 0 else largest_size(moment)
-
-
-def moment_left_at_tip(problem: Problem, solution: Solution) -> Moment:
-    """M_ext(L) - m over the moment scale."""
-    return (solution.tip.moment - problem.outboard.tip_moment) / problem.moment_scale
-
-
-def _round_off(x: Array) -> float:
-    return 4 * float(jnp.finfo(x.dtype).eps)
-
-
-def _newton_step(
-    problem: Problem, moment: Moment, residual: Moment, turned: Array, slopes: Array
-) -> tuple[Moment, Number]:
-    """The Newton step of M_ext(0), and the largest angle by which it turns the body, rad."""
-    exact = magnitude(residual) <= _round_off(residual)  # also where its slope vanishes
-    step = computed_once(jnp.where(exact, 0.0, -problem.geometry.moment_for(slopes[:-1], residual)))
-    size, length = 1 + magnitude(moment), magnitude(step)
-    angle = length * jnp.maximum(1 / size, largest_size(turned[:-1]))
-    return step, computed_once(jnp.where(length <= _round_off(step) * size, 0.0, angle))  # less than rounding

@@ -14,7 +14,7 @@ from ..mechanics.directions import Directions, is_contradicted, not_stated
 from ..mechanics.fields import AnyFields, fields_at, planar_fields, tendons_first
 from ..mechanics.friction import Pull, unspent
 from ..mechanics.march import FixedPoint
-from ..mechanics.problem import Method, Problem, Solution, all_points, line_up
+from ..mechanics.problem import Method, Problem, Solution, all_points, fibres_cross, line_up
 from ..mechanics.tendon_displacement import tendon_displacement
 from ..mechanics.truncation_error import truncation_error
 from ..numerics import tolerances as tol
@@ -39,7 +39,7 @@ from .arguments import (
     refuse_batch,
     split_actuation,
 )
-from .balance import Balance, equilibrate, inside_of_bend
+from .balance import Balance, equilibrate
 from .equilibrium import Dense, Equilibrium, nan_unless
 from .equilibrium_text import result_in_words
 from .settle import Setup, set_up
@@ -223,7 +223,7 @@ def _status(
         (found.slack, Status.slack),
         (~found.reached, Status.unreachable),
         (~found.determined, Status.undetermined),
-        (jnp.any(inside_of_bend(balance.problem, solution) >= 1.0), Status.crossing),
+        (fibres_cross(balance.problem, solution.states), Status.crossing),
         (~path.stable, Status.unstable),
         (jnp.asarray(truncation > tol.ACCURACY), Status.inaccurate),
         (contradicted, Status.direction_contradicted),
@@ -261,7 +261,7 @@ def _along(problem: Problem, solution: Solution, dense: Dense) -> AnyFields:
     arc_length = line_up(cut.edges[0], cut.nodes, cut.edges[-1])
     if problem.geometry.has_frames:  # whose forces need derivatives along the polynomials
         return tendons_first(jax.vmap(partial(_fields_within, dense))(arc_length), 1)
-    sections, states = all_points(problem, solution)
+    sections, states = all_points(problem, solution.states)
     fields = jax.vmap(planar_fields, (0, None, None, 0, 0))
     return tendons_first(fields(planar(sections), problem.base_tension, problem.direction, arc_length, states), 1)
 

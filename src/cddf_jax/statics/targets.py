@@ -25,8 +25,8 @@ from ..numerics.fixed_point import solve_small
 from ..numerics.rotations import as_matrix, direction_of, length_of
 from ..robot.cross_section import SpatialSection, where_present
 from ..robot.profiles import Scalar, as_number, as_optional_number
-from .balance import missing_moment
 from .settle import Setup
+from .system import missing_moment
 
 
 @runtime_checkable

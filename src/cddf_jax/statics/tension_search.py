@@ -14,10 +14,10 @@ from ..mechanics.directions import is_contradicted
 from ..mechanics.problem import Number, Problem, Solution, geometry_of
 from ..numerics import tolerances as tol
 from ..numerics.arrays import zero_as
-from ..numerics.fixed_point import picard, slopes_by_unknowns, solve_small, without_derivative
-from .balance import Balance, Equations, System, balance, inside_of_bend
-from .settle import Settled, Setup, place, settle, unsettled
-from .shooting import Slopes, no_slopes
+from ..numerics.fixed_point import picard, solve_small, without_derivative
+from .balance import Balance, balance
+from .settle import Settled, Setup, settle, unsettled
+from .system import Equations
 from .targets import CurvatureAt, Displacement, Target, TipAngle, TipPosition, bending_tension
 
 Tensions = Float[Array, " unknowns"]  # over their scale
@@ -47,8 +47,6 @@ class _Aim(NamedTuple):
     """The targets of a search, without derivatives, and its limits."""
 
     setup: Setup
-    unknown: tuple[int, ...]  # the tendons whose tension is searched for
-    misses: Equations
     scale: Number  # of tensions, N
     least: Tensions
     most: Tensions
@@ -58,26 +56,17 @@ class _Aim(NamedTuple):
 
     def evaluate(self, tension: Tensions) -> _TensionTrial:
         """Solve for given tensions: the misses of the targets, and their slopes."""
-        setup = self.with_tensions(self.setup, tension)
-        settled = settle(setup)
-        system = System(setup.method, place(setup, settled), settled, self.misses, self.unknown)
-        start = settled.nodal, system.found.unknowns
-        (_, residual), push, there = jax.linearize(system.improved, *start, has_aux=True)
-        slopes = Slopes(*slopes_by_unknowns(push, *start))
-        residual = residual[: residual.size - self.num_moments]
-        jacobian = _at_constant_moment(slopes.residual.T, self.num_moments)
-        # one more march of a body that has settled may change more than the tolerance
-        fine = there[1].converged if settled.nodal is None else settled.load_path.converged
-        fine = fine & jnp.all(inside_of_bend(*there) < 1.0)
+        settled = settle(self.with_tensions(self.setup, tension))
+        residual = settled.residual[: settled.residual.size - self.num_moments]
+        jacobian = _at_constant_moment(settled.slopes.residual.T, self.num_moments)
         cost = jnp.sum(residual**2)
-        fine = fine & jnp.isfinite(cost + jnp.sum(jacobian))
-        cost, settled = jnp.where(fine, cost, jnp.inf), settled._replace(slopes=slopes)
-        return _TensionTrial(tension, residual, self.scale * jacobian, cost, settled)
+        fine = settled.load_path.converged & ~settled.crossing & jnp.isfinite(cost + jnp.sum(jacobian))
+        return _TensionTrial(tension, residual, self.scale * jacobian, jnp.where(fine, cost, jnp.inf), settled)
 
     def with_tensions(self, setup: Setup, tension: Tensions) -> Setup:
         """The setup with values of the unknown tensions."""
         given = setup.problem.base_tension
-        return setup.pulled(given.at[jnp.asarray(self.unknown)].set(self.scale * tension))
+        return setup.pulled(given.at[jnp.asarray(self.setup.unknown)].set(self.scale * tension))
 
     @property
     def num_moments(self) -> int:
@@ -100,17 +89,18 @@ class _Aim(NamedTuple):
         rows = jax.vmap(lambda *slopes: jax.jvp(rule, at, slopes)[1])(by_misses, units)
         slopes = best.settled.slopes._replace(residual=jnp.concatenate([rows, by_moment], axis=1))
         settled = without_derivative(best.settled._replace(slopes=slopes))
-        equations = Partial(_ruled, rule, misses, self.scale, np.asarray(self.unknown))
-        return balance(self.with_tensions(setup, best.tension), settled, self.unknown, equations)
+        unknown = self.setup.unknown
+        equations = Partial(_ruled, rule, misses, self.scale, np.asarray(unknown))
+        searching = setup.searching(unknown, equations, len(unknown))
+        return balance(self.with_tensions(searching, best.tension), settled)
 
-    def nothing(self, start: Tensions, targets: int) -> _TensionTrial:
+    def nothing(self, start: Tensions) -> _TensionTrial:
         """The first "best" trial of a search: no equilibrium, with infinite cost."""
         blank = unsettled(self.with_tensions(self.setup, start))
         zero = blank.num_iterations
-        slopes = jnp.eye(targets, start.size, dtype=start.dtype) + zero
-        none = no_slopes(blank.nodal, start.size + self.num_moments, targets + self.num_moments, zero)
-        blank = blank._replace(load_path=blank.load_path._replace(converged=zero > 0), slopes=none)
-        return _TensionTrial(start + zero, slopes[:, 0] * 0.0, slopes, zero + jnp.inf, blank)
+        jacobian = jnp.eye(self.setup.num_targets, start.size, dtype=start.dtype) + zero
+        blank = blank._replace(load_path=blank.load_path._replace(converged=zero > 0))
+        return _TensionTrial(start + zero, jacobian[:, 0] * 0.0, jacobian, zero + jnp.inf, blank)
 
 
 def _at_constant_moment(slopes: Float[Array, "equations unknowns"], moments: int) -> Float[Array, "targets tensions"]:
@@ -144,10 +134,10 @@ def reach(setup: Setup, targets: Targets) -> tuple[Balance, Found]:
     wanted = {i: target for i, target in enumerate(targets) if isinstance(target, Target)}
     aim = _aim_at(*without_derivative((setup, wanted)))
     start = jnp.full_like(aim.least, tol.FIRST_TENSION)
-    best, slack = _levenberg_marquardt(aim, aim.nothing(start, len(wanted)), start, start < 0)
+    best, slack = _levenberg_marquardt(aim, aim.nothing(start), start, start < 0)
     reached, determined = _is_reached(aim, best, slack)
     sizes = jnp.stack([target.size(setup) for target in wanted.values()])
-    miss = jnp.zeros_like(setup.problem.base_tension).at[jnp.asarray(aim.unknown)].set(best.residual * sizes)
+    miss = jnp.zeros_like(setup.problem.base_tension).at[jnp.asarray(aim.setup.unknown)].set(best.residual * sizes)
     found = Found(miss, reached, jnp.any(slack), determined)
     rule = Partial(_unless_missed, reached & determined & ~slack, best.tension)
     return aim.equilibrium(setup, best, Partial(_misses, setup, wanted), rule), found
@@ -166,9 +156,7 @@ def _aim_at(setup: Setup, wanted: "Wanted") -> _Aim:
     kinds = list(wanted.values())
     least = jnp.zeros(len(wanted)) + setup.zero + zero_as(wanted)
     return _Aim(
-        setup,
-        tuple(wanted),
-        Partial(_misses, setup, wanted),
+        setup.searching(tuple(wanted), Partial(_misses, setup, wanted), len(wanted)),
         scale,
         least=least,
         most=jnp.full_like(least, tol.FARTHEST),
@@ -306,23 +294,23 @@ def _step(aim: _Aim, held: Flags, best: _TensionTrial, damping: Number, slack: F
 
 def _reach_place(setup: Setup, target: TipPosition) -> tuple[Balance, Found]:
     """The equilibrium whose tip is at a position, or nearest to it, with the least sum of tensions."""
-    frozen_setup, frozen = without_derivative((setup, target))
-    scale, given = bending_tension(frozen_setup), frozen_setup.problem.base_tension
-    aim = _Aim(
-        frozen_setup,
-        tuple(range(given.size)),
-        Partial(TipPosition.misses, frozen, frozen_setup),
-        scale,
-        *frozen.limits(scale, given),
-    )
-    best = _least_total(aim, frozen)
+    frozen = without_derivative((setup, target))
+    aim, given = _aim_at_place(*frozen), setup.problem.base_tension
+    best = _least_total(aim, frozen[1])
     jacobian = jnp.where(jnp.isfinite(best.jacobian), best.jacobian, 0.0)
     inside = (best.tension > aim.least) & (best.tension < aim.most)
     found = _found_near_place(aim, best, jacobian, inside)
-    follow = jnp.where(found.reached, jnp.linalg.pinv(jacobian * inside, rtol=_same_effect(scale)), 0.0)
+    follow = jnp.where(found.reached, jnp.linalg.pinv(jacobian * inside, rtol=_same_effect(aim.scale)), 0.0)
     moves = jnp.eye(given.size, dtype=given.dtype) - follow @ jacobian
-    rule = Partial(_between_limits, *target.limits(scale, given), best.tension, follow, moves)
+    rule = Partial(_between_limits, *target.limits(aim.scale, given), best.tension, follow, moves)
     return aim.equilibrium(setup, best, Partial(TipPosition.misses, target, setup), rule), found
+
+
+def _aim_at_place(setup: Setup, target: TipPosition) -> _Aim:
+    scale, given = bending_tension(setup), setup.problem.base_tension
+    misses = Partial(TipPosition.misses, target, setup)
+    searching = setup.searching(tuple(range(given.size)), misses, jnp.size(target.value))
+    return _Aim(searching, scale, *target.limits(scale, given))
 
 
 def _found_near_place(
@@ -373,7 +361,7 @@ def _least_total(aim: _Aim, target: TipPosition) -> _TensionTrial:
     """
     zero = zero_as(target) + aim.setup.zero
     alike = jnp.clip(tol.FIRST_TENSION + zero + jnp.zeros_like(aim.least), aim.least, aim.most)
-    nothing = aim.nothing(alike, jnp.size(target.value))
+    nothing = aim.nothing(alike)
     zero = zero_as(nothing)
     alike = alike + zero
     towards = jnp.clip(tol.FIRST_TENSION * target.on_the_side(aim.setup), aim.least, aim.most) + zero
