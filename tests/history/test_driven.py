@@ -30,6 +30,14 @@ def test_a_little_back_from_a_pull():
     np.testing.assert_allclose(history.base_tension[6:], pulled)
 
 
+def test_a_tendon_that_begins_on_the_axis():
+    """A single pull is the same with and without a history."""
+    body = paper_body("exact", tendon_offset=(0.0, 0.010))
+    lengths = cddf.Displacement([1e-4, 2e-4])
+    alone = [float(cddf.solve(body, cddf.Displacement(x)).base_tension[0]) for x in lengths.value]
+    np.testing.assert_allclose(cddf.trace(body, lengths).base_tension, alone, rtol=1e-9)
+
+
 @pytest.mark.slow
 def test_the_way_back_of_tip_angles():
     """Loops that close, and on from their end: 80 N, the most of all, lets the rest be forgotten."""

@@ -248,6 +248,15 @@ def test_a_history_goes_on(loaded):
 
 
 @pytest.mark.slow
+def test_a_history_under_a_load_in_space_goes_on():
+    """The load stays where none is given, as with the same load; the body of the plane is in space as before."""
+    load = cddf.Loads(tip_force=(0.0, 0.1, 0.1))
+    first = cddf.trace(ONE, [5.0], load, short_steps=2)
+    given, staying = (cddf.trace(ONE, [10.0], each, start=first, short_steps=2) for each in (load, None))
+    np.testing.assert_array_equal(staying.tip_position, given.tip_position)
+
+
+@pytest.mark.slow
 def test_gravity_rests_while_a_force_changes():
     """The same in two calls: pulled under gravity alone, which `solve` has an answer for, and then a force."""
     body, gravity = with_masses(ONE), (0.0, -9.81)
@@ -453,6 +462,8 @@ def test_bad_input_is_refused(exact):
         cddf.trace(ONE, [1.0, 2.0], [LOAD])
     with pytest.raises(TypeError, match="must be a Loads"):
         cddf.trace(ONE, [1.0, 2.0], 3.0)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ValueError, match="tip_moment holds three numbers for three steps"):
+        cddf.trace(ONE, [1.0, 2.0, 3.0], cddf.Loads(tip_moment=(0.1, 0.2, 0.3)))
     with pytest.raises(ValueError, match="short_steps"):
         cddf.trace(PAIR, PATH, short_steps=0)
     with pytest.raises(ValueError, match="start is a history of one tendon"):

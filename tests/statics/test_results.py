@@ -84,6 +84,19 @@ def test_a_locking_tendon_is_reported_as_such(kinematics):
     assert cddf.Status.locked not in codes(solve(jnp.linspace(0.1, 0.9, 8) * limit))
 
 
+def test_a_tendon_that_locks_under_a_load_is_reported_as_such():
+    """Fibres cross before it locks, and nothing lies between the two: also where coarse elements do not see the lock.
+
+    The elements with kinks alone see it from 112.5222 to 112.5246 N.
+    """
+    push = cddf.Loads(tip_force=(0.0, 2.0))
+    solve = jax.jit(jax.vmap(lambda t: cddf.solve(paper_body("exact"), t, push, direction=-1, throw=False).status))
+    found = codes(solve(112.5234 + 5e-4 * jnp.arange(-4, 5)))
+    locked = found.count(cddf.Status.locked)
+    assert 2 <= locked <= 7
+    assert found == [cddf.Status.crossing] * (9 - locked) + [cddf.Status.locked] * locked
+
+
 # --- arguments -----------------------------------------------------------------------------------
 
 

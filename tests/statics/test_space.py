@@ -264,3 +264,9 @@ def test_parallel_tendons_that_slide_both_ways():
     expected = solve_ivp(rate, (0.0, LENGTH), pull, method="DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
     found = cddf.solve(body, pull, direction=direction, throw=False)
     np.testing.assert_allclose(found.tip_tension, expected, rtol=1e-9)
+
+
+def test_a_torsional_stiffness_below_zero_is_not_physical():
+    """G = E / (2 (1 + nu)) is negative below nu = -1."""
+    body = paper_with(at_angle(0.2), poissons_ratio=-1.5)
+    assert cddf.solve(body, 10.0, throw=False).status == cddf.Status.unphysical

@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..numerics.fixed_point import picard
 from ..robot.manipulator import Manipulator
+from ..statics.targets import bending_tension
 from .congruent_parts import Heading, ends_of_motion, pose_of_base, slid_up_to, tilt_of, turned_back, turned_on
 from .fronts import Motion
 from .turns import NO_STEP, Number, Stack, Turns, go_on
@@ -98,8 +99,7 @@ def driven(
         )
         return new, (drive, turn)
 
-    base = constant.cross_section(jnp.zeros_like(jnp.asarray(body.length)))
-    first_try = 1e-3 * base.stiffness / (base.offset[0] * jnp.asarray(constant.length))  # N, a small tension
+    first_try = 1e-3 * bending_tension(constant)  # N, a small tension
     known = stack._replace(value=jax.lax.stop_gradient(values))
     start = _Driven(known, tensions, values, headings if in_space else None)
     return jax.lax.scan(advance, start, (wanted, first_step + jnp.arange(wanted.size)))[1]

@@ -128,6 +128,23 @@ def _actuation(manipulator: Manipulator, base_tension: Driven) -> tuple[Array, A
     return jnp.where(is_driven, 0.0, given), jnp.where(is_driven, given, 0.0), driven
 
 
+def check_moments(loads: Loads, num_steps: int) -> None:
+    """Refuse three numbers on a path of three steps of a body in the plane: one moment (X, Y, Z), or one a step.
+
+    Raises:
+        ValueError: names the moment and the remedy.
+    """
+    vectors = _vectors(loads)
+    moments = {"tip_moment": vectors[1]} | {f"points.{i}.moment": x for i, x in enumerate(vectors[4::2])}
+    stated = any(np.shape(x)[-1] == 3 or np.ndim(x) > 1 for x in (vectors[0], vectors[2], *vectors[3::2]))
+    for name, value in moments.items():
+        if not stated and num_steps == 3 == np.size(value) and np.ndim(value) == 1:
+            raise ValueError(
+                f"trace: loads.{name} holds three numbers for three steps; give a list of Loads, one for each step, or "
+                "for one moment (X, Y, Z) a tip_force of three components"
+            )
+
+
 def _resting(loads: Loads | Sequence[Loads] | None, along: Loads | None) -> Loads | None:
     """The loads that act before the first step, those without an axis of steps; None where there are none."""
     if along is None or not isinstance(loads, Loads):

@@ -24,7 +24,7 @@ from ..statics.response import tip_compliance
 from ..statics.status import Status, words_of
 from .grid import Goal
 from .history import GOOD, History, listed
-from .path import Driven, Path, as_numbers, given_path
+from .path import Driven, Path, as_numbers, check_moments, given_path
 from .play_operator import CongruentStates, congruent_history
 from .stepped import ACCURACY, ELEMENTS, Following, SteppedStates, after_first, after_step, squeezed, stepped_history
 
@@ -94,18 +94,21 @@ def trace(
     """
     if not isinstance(manipulator, Manipulator):
         raise TypeError(f"trace: the first argument must be a Manipulator, got {type(manipulator).__name__}")
+    if start is not None and not isinstance(start, History):
+        raise TypeError(f"trace: start must be a History, got {type(start).__name__}")
     each = loads if isinstance(loads, tuple | list) else [loads]
-    if manipulator.in_space or any(isinstance(one, Loads) and one.in_space for one in each):
+    planar = not (manipulator.in_space or (start is not None and start._states.manipulator.in_space))
+    if not planar or any(isinstance(one, Loads) and one.in_space for one in each):
         manipulator = in_space(manipulator)
     check_whole("nodes", nodes, 4)
     check_whole("trace: max_turns", max_turns, 1)
     check_whole("trace: short_steps", short_steps, 2)
-    if start is not None and not isinstance(start, History):
-        raise TypeError(f"trace: start must be a History, got {type(start).__name__}")
     if start is not None:
         _check_same_body(manipulator, start)
     try:
         path, driven = given_path(manipulator, base_tension, loads)
+        if planar and isinstance(loads, Loads):
+            check_moments(loads, path.tension.shape[0])
         earlier = _earlier(manipulator, before, start)
         followed = start is not None and isinstance(start._states, SteppedStates)
         alone = manipulator.num_tendons == 1 and not manipulator.has_memory and loads is None

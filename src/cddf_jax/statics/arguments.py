@@ -229,8 +229,10 @@ def is_physical(
     manipulator: Manipulator, base_tension: PerTendon, direction: PerTendon, problem: Problem
 ) -> Bool[Array, ""]:
     """Whether the numbers, as they were before `harmless`, have a physical meaning."""
-    stiffness = jax.vmap(jax.vmap(problem.manipulator.stiffness))(problem.elements.nodes)
-    sections = (stiffness[..., None] > 0) & (where_present(problem.nodes, problem.nodes.offset) >= 0)
+    body = problem.manipulator
+    stiffness = jax.vmap(jax.vmap(body.strain_stiffness if body.in_space else body.stiffness))(problem.elements.nodes)
+    stiff = stiffness[..., None] if stiffness.ndim == 2 else jnp.min(stiffness, axis=-1, keepdims=True)
+    sections = (stiff > 0) & (where_present(problem.nodes, problem.nodes.offset) >= 0)
     return (
         jnp.all(sections)  # as one: XLA takes seconds to fold the offsets of a large batch if they are constants
         & (problem.elements.edges[-1] > 0)

@@ -94,6 +94,7 @@ def balance(setup: Setup, settled: Settled) -> Balance:
 
 def _without_loads(problem: Problem, found: Solution, path: LoadPath) -> Balance:
     solution = finished(problem, found)
-    path = path._replace(converged=path.converged & solution.converged)
+    converged = path.converged & solution.converged
+    path = path._replace(converged=converged, resolved=converged)
     travel = travel_under_tension(problem, solution.nodes.pull, tendon_displacement(problem, solution.nodes))
     return Balance(problem, solution, path, travel, jnp.ones_like(solution.residual))

@@ -173,6 +173,7 @@ def _loaded(setup: Setup) -> Settled:
     found, num_iterations = polish(system, rough.roughly(end, system, setup.num_targets), rough.turned_by_moment(end))
     pull = state_at_nodes(rough.problem, rough.nodal(end.values), end.strain).pull
     moment = found.unknowns[len(setup.unknown) :].reshape(path.base_moment.shape)
+    arrived = path.converged
     path = path._replace(
         base_moment=jnp.where(path.converged, moment, path.base_moment),
         converged=path.converged & found.settled,
@@ -191,7 +192,7 @@ def _loaded(setup: Setup) -> Settled:
         missed=found.missed,
         change=found.change,
         num_iterations=num_iterations,
-        locked=end.locked | (found.lost & found.settled),
+        locked=end.locked | (arrived & found.locked),
         error_amplification=rough.error_amplification(end),
     )
 

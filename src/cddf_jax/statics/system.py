@@ -128,7 +128,7 @@ class Polished(NamedTuple):
     residual: Float[Array, " equations"]
     missed: Number | float  # as in a `Solution`
     settled: Flag
-    lost: Flag
+    locked: Flag  # a tendon locks
     change: Number
 
 
@@ -156,7 +156,7 @@ def polish(system: System, start: Polished, turned: Array) -> tuple[Polished, Nu
             changed = relative_size(slopes.residual - last.slopes.residual, slopes.residual)
             settled &= changed <= tol.SAME_SLOPES * tolerance
         found = last.unknowns + step, slopes.moved(better, step), solution.states, slopes, residual, solution.missed
-        return Polished(*found, settled, lost, change), jnp.where(settled | lost, zero, 1.0)
+        return Polished(*found, settled, solution.locked, change), jnp.where(settled | lost, zero, 1.0)
 
     found, _, count = picard(again, start, 0.0, method.max_iterations)
     return found, count

@@ -24,6 +24,7 @@ from ..numerics import tolerances as tol
 from ..numerics.fixed_point import solve_small
 from ..numerics.rotations import as_matrix, direction_of, length_of
 from ..robot.cross_section import SpatialSection, where_present
+from ..robot.manipulator import Manipulator
 from ..robot.profiles import Scalar, as_number, as_optional_number
 from .settle import Setup
 from .system import missing_moment
@@ -95,7 +96,8 @@ class Displacement(eqx.Module):
         return tendon_displacement(problem, solution.nodes)[tendon]
 
     def size(self, setup: Setup) -> Number:
-        return jnp.max(setup.manipulator.offset(0.0 * jnp.asarray(setup.manipulator.length)))
+        length = jnp.asarray(setup.manipulator.length)
+        return jnp.maximum(jnp.max(setup.manipulator.offset(0.0 * length)), 1e-3 * length)
 
 
 class TipAngle(eqx.Module):
@@ -124,7 +126,7 @@ class TipTension(eqx.Module):
         return left[tendon] / solution.tip.ratio[tendon]
 
     def size(self, setup: Setup) -> Number:
-        return jnp.abs(jnp.asarray(self.value)) + 1e-3 * bending_tension(setup)
+        return jnp.abs(jnp.asarray(self.value)) + 1e-3 * bending_tension(setup.manipulator)
 
 
 class TotalTension(eqx.Module):
@@ -137,7 +139,7 @@ class TotalTension(eqx.Module):
         return jnp.sum(problem.base_tension)
 
     def size(self, setup: Setup) -> Number:
-        return jnp.abs(jnp.asarray(self.value)) + 1e-3 * bending_tension(setup)
+        return jnp.abs(jnp.asarray(self.value)) + 1e-3 * bending_tension(setup.manipulator)
 
 
 class CurvatureAt(eqx.Module):
@@ -201,9 +203,8 @@ def _across(heading: Array) -> Float[Array, " components"]:
     return jnp.where(length_of(leaning) > tol.PARALLEL, direction_of(leaning), axes[1])
 
 
-def bending_tension(setup: Setup) -> Number:
+def bending_tension(body: Manipulator) -> Number:
     """The least E J / d^2 along the tendons, N: the scale of tensions at which d kappa comes near 1."""
-    body = setup.manipulator
     arc_length = jnp.linspace(0.0, 1.0, 17) * jnp.asarray(body.length)
     section = jax.vmap(body.cross_section_in_space if body.in_space else body.cross_section)(arc_length)
     offset = jnp.maximum(section.offset, 1e-3 * jnp.asarray(body.length))

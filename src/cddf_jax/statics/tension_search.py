@@ -152,7 +152,7 @@ def _is_reached(aim: _Aim, best: _TensionTrial, slack: Flags) -> tuple[Bool[Arra
 
 
 def _aim_at(setup: Setup, wanted: "Wanted") -> _Aim:
-    scale, frames = bending_tension(setup), geometry_of(setup.manipulator).has_frames
+    scale, frames = bending_tension(setup.manipulator), geometry_of(setup.manipulator).has_frames
     kinds = list(wanted.values())
     least = jnp.zeros(len(wanted)) + setup.zero + zero_as(wanted)
     return _Aim(
@@ -255,7 +255,8 @@ def _next_step(
     if aim.pulled is None:
         following = _step(aim, held, best, damping, slack)
         return following, slack, damping, _rests(best, following, damping)
-    pushing = aim.pulled & jnp.isfinite(best.cost) & ~slack & (best.tension == 0) & (best.residual > tol.REACHED)
+    pushing = aim.pulled & jnp.isfinite(best.cost) & ~slack
+    pushing &= (best.tension == 0) & (best.residual > _tolerance(best.cost))
     both = jnp.stack([slack, slack | pushing])
     steps = jax.vmap(partial(_step, aim, held, best))(jnp.stack([damping, 0.0 * damping]), both)
     rests = _rests(best, steps[0], damping)
@@ -307,7 +308,7 @@ def _reach_place(setup: Setup, target: TipPosition) -> tuple[Balance, Found]:
 
 
 def _aim_at_place(setup: Setup, target: TipPosition) -> _Aim:
-    scale, given = bending_tension(setup), setup.problem.base_tension
+    scale, given = bending_tension(setup.manipulator), setup.problem.base_tension
     misses = Partial(TipPosition.misses, target, setup)
     searching = setup.searching(tuple(range(given.size)), misses, jnp.size(target.value))
     return _Aim(searching, scale, *target.limits(scale, given))
