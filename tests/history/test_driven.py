@@ -30,6 +30,7 @@ def test_a_little_back_from_a_pull():
     np.testing.assert_allclose(history.base_tension[6:], pulled)
 
 
+@pytest.mark.slow
 def test_a_tendon_that_begins_on_the_axis():
     """A single pull is the same with and without a history."""
     body = paper_body("exact", tendon_offset=(0.0, 0.010))

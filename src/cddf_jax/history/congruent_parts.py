@@ -104,14 +104,14 @@ def stored_energy(dense: Dense) -> Number:
     """
     body, cut = dense.manipulator, dense.elements
     section = jax.vmap(jax.vmap(lambda s: guarded_section(body, s)))(cut.nodes)
-    tension = tension_of(section, dense.base_tension, dense.nodes.pull)
+    tension = tension_of(section, dense.base_tension, dense.states.nodes.pull)
     if isinstance(section, SpatialSection):
-        strain = strain_along(section, dense.base_tension, dense.nodes) - section.rest
+        strain = strain_along(section, dense.base_tension, dense.states.nodes) - section.rest
         length = length_of(at_nodes(space.path_rate, (0, 0))(section, section.rest))
         elastic = jnp.sum(section.stiffness * strain**2, axis=-1)
     else:
         length = jnp.sqrt(1.0 + planar(section).offset_slope ** 2)
-        elastic = section.stiffness * strain_along(section, dense.base_tension, dense.nodes) ** 2
+        elastic = section.stiffness * strain_along(section, dense.base_tension, dense.states.nodes) ** 2
     stretch = tension**2 * length * body.tendon_compliance
     return jnp.sum(cut.gain(elastic + jnp.sum(stretch, axis=-1))) / 2
 
@@ -125,7 +125,7 @@ def given_energy(dense: Dense) -> Number:
     if body.kinematics == "exact":
         return stored_energy(dense)
     section = planar(jax.vmap(jax.vmap(lambda s: guarded_section(body, s)))(cut.nodes))
-    tension = tension_of(section, dense.base_tension, dense.nodes.pull)
+    tension = tension_of(section, dense.base_tension, dense.states.nodes.pull)
 
     def shorter(tension: PerTendon) -> PerTendon:
         kappa = at_nodes(bending.curvature, (0, 0))(section, tension)

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ..numerics.fixed_point import picard
+from ..numerics.fixed_point import until
 from ..robot.manipulator import Manipulator
 from ..statics.targets import bending_tension
 from .congruent_parts import Heading, ends_of_motion, pose_of_base, slid_up_to, tilt_of, turned_back, turned_on
@@ -187,7 +187,7 @@ def _search(
     """The zero of a growing function between 0 and `most`, by the Illinois rule; and whether there is one."""
     least = 4 * jnp.finfo(most.dtype).eps
 
-    def step(state: _Bracket) -> tuple[_Bracket, Number]:
+    def step(state: _Bracket) -> tuple[_Bracket, Bool[Array, ""]]:
         a, b, fa, fb, _ = state
         slope = jnp.where(fb == fa, 1.0, fb - fa)
         within = jnp.clip(b - fb * (b - a) / slope, jnp.minimum(a, b), jnp.maximum(a, b))
@@ -197,8 +197,8 @@ def _search(
         crossed = state.crossed | crosses
         settled = (fc == 0) | jnp.where(crossed, jnp.abs(c - b) <= least * c, c >= most)
         behind, value_behind = jnp.where(crosses, b, a), jnp.where(crosses, fb, fa / 2)
-        return _Bracket(behind, c, value_behind, fc, crossed), jnp.where(settled, 0.0, 1.0 + 0.0 * c)
+        return _Bracket(behind, c, value_behind, fc, crossed), settled
 
     zero = jnp.zeros_like(most)
-    end, _, _ = picard(step, _Bracket(zero, zero, at_zero, at_zero, zero > 1), 0.0, EVALUATIONS)
+    end, _ = until(step, _Bracket(zero, zero, at_zero, at_zero, zero > 1), EVALUATIONS)
     return end.last, end.crossed | (end.value == 0)

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, PyTree
 
 from ..numerics import tolerances as tol
-from ..numerics.fixed_point import picard
+from ..numerics.fixed_point import until
 from ..robot.manipulator import Manipulator
 from ..robot.profiles import as_number
 from .friction import PerTendon, Pull, unspent
@@ -108,7 +108,7 @@ def find_directions(
     """
     which, zero = jnp.asarray(to_find), jnp.zeros_like(stated[0])
 
-    def update(choice: _Choice) -> tuple[_Choice, Number]:
+    def update(choice: _Choice) -> tuple[_Choice, Bool[Array, ""]]:
         answer, travel, found = attempt(choice.direction)
         contradicted = is_contradicted(choice.direction, travel, jnp.asarray(manipulator.length))
         return _next_choice(choice, which, answer, jnp.where(contradicted[which], 1.0 + zero, zero), found)
@@ -116,7 +116,7 @@ def find_directions(
     first = _by_moment(manipulator, base_tension, stated, which)
     start = _Choice(first, blank, zero + jnp.inf, 0 * first[which], zero)
     most = tol.NUM_FLIPS + min(2 ** len(to_find), tol.MOST_LISTED)
-    return picard(update, start, 0.0, most)[0].best
+    return until(update, start, most)[0].best
 
 
 def _by_moment(manipulator: Manipulator, base_tension: PerTendon, stated: PerTendon, which: Array) -> PerTendon:
@@ -129,8 +129,8 @@ def _by_moment(manipulator: Manipulator, base_tension: PerTendon, stated: PerTen
 
 def _next_choice(
     choice: _Choice, which: Array, answer: PyTree, against: PerTendon, found: Bool[Array, ""]
-) -> tuple[_Choice, Number]:
-    """Keep the better answer and choose what to try next; and 1, or 0 where the search has ended."""
+) -> tuple[_Choice, Bool[Array, ""]]:
+    """Keep the better answer and choose what to try next; and whether the search has ended."""
     one = jnp.ones_like(choice.num_tried)
     count, num_tried = jnp.where(found, jnp.sum(against), which.size + one), choice.num_tried + one
     better = count < choice.fewest
@@ -142,4 +142,4 @@ def _next_choice(
     sticks = (num_tried <= tol.NUM_FLIPS) & (count == 1) & jnp.all(against == choice.against)
     ended = found & ((count == 0) | sticks)
     kept = _Choice(following, best, jnp.minimum(count, choice.fewest), against, num_tried)
-    return kept, jnp.where(ended, 0.0 * one, one)
+    return kept, ended

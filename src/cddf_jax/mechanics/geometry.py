@@ -20,6 +20,7 @@ from ..numerics.rotations import (
     cofactors,
     cross,
     dot,
+    first_axis,
     in_fixed_frame,
     in_own_frame,
     length_of,
@@ -58,20 +59,9 @@ class Plane:
         own = body.kinematics == "exact" and body.slanted
         return loaded or own or (body.num_tendons > 1 and (body.slanted or body.tendon_drag is not None))
 
-    def may_turn_at_joints(self, body: Manipulator, loaded: bool) -> bool:
-        """Whether a tendon may turn by a finite angle where the body is not smooth; static."""
-        return body.kinematics == "exact" and body.slanted
-
-    def turns_with_tension(self, section: AnySection) -> bool:
-        """Whether a single tendon turns in proportion to its tension; static."""
-        return planar(section).kinematics == "published" or not planar(section).slanted
-
     def has_closed_strain(self, body: Manipulator, loaded: bool) -> bool:
-        """Whether the strain needs no iteration; static."""
+        """Whether the strain needs no iteration, and no tendon turns where the body is not smooth; static."""
         return body.kinematics == "published" or not body.slanted
-
-    def strain_shape(self, body: Manipulator) -> tuple[int, ...]:
-        return ()
 
     def bending_stiffness(self, section: AnySection) -> Float[Array, "*points"]:
         """E J, N m^2."""
@@ -226,17 +216,8 @@ class Space:
         alone = body.num_tendons == 1 or (body.tendon_drag is None and not body.extensible)
         return loaded or not (parallel and alone)
 
-    def may_turn_at_joints(self, body: Manipulator, loaded: bool) -> bool:
-        return body.slanted or loaded or body.rest_curvature is not None  # every tendon of a body that twists
-
-    def turns_with_tension(self, section: AnySection) -> bool:
-        return False
-
     def has_closed_strain(self, body: Manipulator, loaded: bool) -> bool:
         return not loaded and body.parallel
-
-    def strain_shape(self, body: Manipulator) -> tuple[int, ...]:
-        return (6 if body.extensible else 3,)
 
     def bending_stiffness(self, section: AnySection) -> Float[Array, "*points"]:
         return section.stiffness[..., 1]
@@ -271,7 +252,7 @@ class Space:
         return turned_by(guess, space.curvature_of_strain(strain))
 
     def axis(self, heading: Float[Array, "*points 4"], strain: Array) -> Float[Array, "*points 3"]:
-        return space.axis_in_fixed_frame(heading, strain)
+        return in_fixed_frame(heading, strain[..., 3:]) if strain.shape[-1] > 3 else first_axis(heading)
 
     def moment_rate(self, axis: Array, force: Array) -> Array:
         return -cross(axis, force)
@@ -309,7 +290,7 @@ class Space:
         return space.tangents(spatial(section), strain)
 
     def turn_between(self, one: Array, other: Array) -> PerTendon:
-        return space.turn_between(one, other)
+        return 2.0 * jnp.arctan2(length_of(other - one), length_of(other + one))
 
     def turned(self, width: Number, sections: AnySection, strains: Array) -> PerTendon:
         tangents = jax.vmap(space.tangents)(spatial(sections), strains)

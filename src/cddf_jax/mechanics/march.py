@@ -100,11 +100,11 @@ def _at_base(problem: Problem) -> State:
 
 def unbent(problem: Problem) -> BodyStates:
     """The states of a body without friction, on which its loads do not act yet."""
-    geometry, base, shape = problem.geometry, _at_base(problem), problem.elements.nodes.shape
+    base, shape = _at_base(problem), problem.elements.nodes.shape
     starts, nodes = (
         jax.tree.map(lambda x, at=at: jnp.broadcast_to(x, (*at, *x.shape)), base) for at in (shape[:1], shape)
     )
-    elastic = jnp.multiply.outer(0.0 * nodes.ratio[..., 0], jnp.zeros(geometry.strain_shape(problem.manipulator)))
+    elastic = jnp.zeros_like(problem.nodes.stiffness) + zero_as(base)
     return _solved(problem, starts, nodes, starts, elastic)
 
 
@@ -386,7 +386,7 @@ def _frames(cut: Elements, strain: Array) -> tuple[Array, Array]:
     turns = jax.tree.map(lambda angle: about(axis, angle), cut.integrate(rate))
     rest = turned_across(turns[1], curvature - rate[..., None] * axis)
     off = largest(sum_of([jnp.abs(part) for part in parts_of(rest)])) * cut.edges[-1]
-    settings = {"tolerance": round_off(rate.dtype), "max_iterations": 64, "size": _absolute_size, "off": off}
+    settings = {"tolerance": round_off(rate.dtype), "size": _absolute_size, "off": off}
     found = fixed_point(Partial(_turned_on, cut, rest), jax.tree.map(jnp.zeros_like, turns), **settings)
     return jax.tree.map(lambda turn, change: turn + product(change, turn), turns, found.value)
 

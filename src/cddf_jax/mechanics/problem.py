@@ -79,11 +79,6 @@ class Problem(eqx.Module):
     rough: bool = eqx.field(default=False, static=True)  # whether kinks are passed over, for a first guess
 
     @property
-    def tip(self) -> AnySection:
-        """The cross-section at the tip."""
-        return jax.tree.map(lambda x: x[-1], self.points)
-
-    @property
     def geometry(self) -> Geometry:
         """The mechanics in the plane or in space; static."""
         return geometry_of(self.manipulator)
@@ -107,7 +102,8 @@ class Problem(eqx.Module):
         where theta' = |kappa / (1 - sigma d kappa)|.
         """
         alone = self.manipulator.num_tendons == 1 and self.loads is None and is_proportional(self.points)
-        return alone and self.geometry.turns_with_tension(self.points)
+        planar = not self.geometry.has_frames
+        return alone and planar and self.geometry.has_closed_strain(self.manipulator, loaded=False)
 
 
 class State(NamedTuple):
@@ -203,7 +199,7 @@ def lay_out(
     starts = cut.edges[:-1]
     inside = jnp.minimum(starts + nudge, cut.edges[-1] - nudge)  # a tendon that ends at the tip causes no turn there
     joints = breakpoints_under(manipulator, loads).shape[0] > 0
-    turns = joints and geometry.may_turn_at_joints(manipulator, loads is not None)
+    turns = joints and not geometry.has_closed_strain(manipulator, loads is not None)  # by a finite angle
     return Problem(
         manipulator,
         base_tension,

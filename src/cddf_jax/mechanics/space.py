@@ -23,7 +23,7 @@ from jaxtyping import Array, Float
 from ..numerics import tolerances as tol
 from ..numerics.arrays import added_up
 from ..numerics.fixed_point import newton, slope_along, solve_definite
-from ..numerics.rotations import Quaternion, Vector, cross, dot, first_axis, in_fixed_frame, length_of
+from ..numerics.rotations import Vector, cross, dot, length_of
 from ..robot.cross_section import SpatialSection, where_present
 from .friction import PerTendon, tension_rate
 
@@ -56,11 +56,6 @@ def curvature_of_strain(strain: Float[Array, "*points strains"]) -> Vector:
     return strain[..., :3]
 
 
-def axis_in_fixed_frame(frame: Quaternion, strain: Float[Array, "*points strains"]) -> Vector:
-    """The derivative of the position along s: R v."""
-    return in_fixed_frame(frame, strain[..., 3:]) if strain.shape[-1] > 3 else first_axis(frame)
-
-
 def path_rate(section: SpatialSection, strain: Strain) -> Vectors:
     """The derivative w of each tendon's position along s, in the frame of the cross-section."""
     w = cross(jnp.broadcast_to(curvature_of_strain(strain), section.arm.shape), section.arm) + section.ahead
@@ -83,12 +78,6 @@ def turn_vectors(strain: Strain, tangent: Vectors, tangent_rate: Vectors) -> Vec
     """The derivative of each tangent along s, 1/m: t' + u x t, in components of the frame of the cross-section."""
     u = jnp.broadcast_to(curvature_of_strain(strain), tangent.shape)
     return tangent_rate + cross(u, tangent)
-
-
-def turn_between(one: Vectors, other: Vectors) -> PerTendon:
-    """The angle between unit tangents, rad."""
-    apart, together = length_of(other - one), length_of(other + one)
-    return 2.0 * jnp.arctan2(apart, together)
 
 
 def tension_rate_without_loads(

@@ -37,7 +37,7 @@ def fixed_point(
     start: Tree,
     *,
     tolerance: float,
-    max_iterations: int,
+    max_iterations: int = tol.MAX_ITERATIONS,
     size: Callable[[Tree, Tree], Scalar] = relative_size,
     acceptable: Callable[[Tree], Bool[Array, ""]] = all_finite,
     off: Scalar | float = jnp.inf,
@@ -61,13 +61,13 @@ def fixed_point(
             tolerance.
     """
     start, off, frozen = without_derivative((start, off, update))
-    value, change, count = picard(_measured(frozen, size), start, tolerance, max_iterations, off)
+    value, change, count = picard(frozen, start, tolerance, max_iterations, size, off)
     good = (change <= tolerance) & acceptable(value)
     value = jax.tree.map(lambda new, old: jnp.where(good, new, old), value, start)
-    return FixedPointResult(implicit(update, value, max_iterations), count, change, good)
+    return FixedPointResult(implicit(update, value), count, change, good)
 
 
-def implicit(update: Callable[[Tree], Tree], value: Tree, max_iterations: int = tol.MAX_ITERATIONS) -> Tree:
+def implicit(update: Callable[[Tree], Tree], value: Tree) -> Tree:
     """The fixed point y = update(y) that was found, with the derivatives that follow from this equation.
 
     They hold in both modes and to any order. They are solved by the linearised iteration, so that no Jacobian is
@@ -77,22 +77,21 @@ def implicit(update: Callable[[Tree], Tree], value: Tree, max_iterations: int = 
         update: the map. Derivatives are with respect to its leaves; everything else that it closes over must be
             constant.
         value: the fixed point; without derivatives of its own.
-        max_iterations: of the linear iteration.
     """
-    return _found(update, jax.tree.map(jax.lax.stop_gradient, value), max_iterations=max_iterations)
+    return _found(update, jax.tree.map(jax.lax.stop_gradient, value))
 
 
 @eqx.filter_custom_jvp
-def _found(update, value, *, max_iterations):
+def _found(update, value):
     return value
 
 
 @_found.def_jvp
-def _(primals, tangents, *, max_iterations):
+def _(primals, tangents):
     (update, value), (direction, _) = primals, tangents
-    value = _found(update, value, max_iterations=max_iterations)
+    value = _found(update, value)
     pushed, push = _linearised(update, direction, value)
-    return value, solve_by_iteration(push, pushed, max_iterations)
+    return value, _solve_by_iteration(push, pushed)
 
 
 def _linearised(update: Callable[[Tree], Tree], direction: PyTree, value: Tree) -> tuple[Tree, Callable[[Tree], Tree]]:
@@ -108,82 +107,85 @@ def _linearised(update: Callable[[Tree], Tree], direction: PyTree, value: Tree) 
     return pushed, jax.linearize(lambda change: push(still, change), unchanged)[1]
 
 
-def solve_by_iteration(push: Callable[[Tree], Tree], pushed: Tree, max_iterations: int) -> Tree:
+def _solve_by_iteration(push: Callable[[Tree], Tree], pushed: Tree) -> Tree:
     """The solution of v = pushed + push(v), where the iteration v <- pushed + push(v) settles; NaN elsewhere.
 
     The known part is computed once: where it cancels, its rounding errors must not change from one iteration to the
-    next.
+    next. The values are iterated as one array, as XLA compiles a kernel for every array that a loop carries.
 
     Args:
         push: a linear function.
         pushed: the known part, of which the solution is a linear function.
-        max_iterations: the largest number of iterations.
     """
 
     def solve_linear(operator: Callable[[Tree], Tree], known: Tree) -> Tree:
-        def again(v: Tree) -> Tree:
-            return jax.tree.map(lambda b, v, w: b + v - w, known, v, operator(v))
+        start, as_tree = ravel_pytree(known)
+        settled = round_off(start.dtype)
 
-        return by_iteration(again, known, max_iterations)
+        def again(v: Array) -> Array:
+            return start + v - ravel_pytree(operator(as_tree(v)))[0]
+
+        value, change, _ = picard(again, start, settled)
+        return as_tree(jnp.where(change <= 1e3 * settled, value, jnp.nan))
 
     return jax.lax.custom_linear_solve(
         lambda v: minus(v, push(v)), pushed, solve=solve_linear, transpose_solve=solve_linear
     )
 
 
-def by_iteration(again: Callable[[Tree], Tree], first: Tree, max_iterations: int) -> Tree:
-    """The values that a linear update leaves as they are; NaN where its iteration does not settle.
-
-    They are iterated as one array, as XLA compiles a kernel for every array that a loop carries.
-    """
-    start, as_tree = ravel_pytree(first)
-    settled, update = round_off(start.dtype), _measured(lambda x: ravel_pytree(again(as_tree(x)))[0], relative_size)
-    value, change, _ = picard(update, start, settled, max_iterations)
-    return as_tree(jnp.where(change <= 1e3 * settled, value, jnp.nan))
-
-
 def picard(
-    update: Callable[[Tree], tuple[Tree, Scalar]],
-    first: Tree,
+    update: Callable[[Tree], Tree],
+    start: Tree,
     tolerance: float,
-    max_iterations: int,
-    change: Scalar | float = jnp.inf,
+    max_iterations: int = tol.MAX_ITERATIONS,
+    size: Callable[[Tree, Tree], Scalar] = relative_size,
+    off: Scalar | float = jnp.inf,
 ) -> tuple[Tree, Scalar, Scalar]:
     """Picard iteration: the update again and again, until it changes no more than the tolerance.
 
     Args:
-        update: values -> better values, and how large their change is.
-        first: where it starts.
-        tolerance: the largest change at which it ends.
-        max_iterations: the largest number of updates.
-        change: what is known of the change that the first update would make.
+        update, start, tolerance, max_iterations, size, off: as in `fixed_point`.
 
     Returns:
         The values, the last change, and the number of updates.
     """
-    zero = zero_as(first)
 
-    def unsettled(carry: tuple[Tree, Scalar, Scalar]) -> Bool[Array, ""]:
-        _, change, count = carry
-        return (change > tolerance) & (count < max_iterations)
+    def step(last: tuple[Tree, Scalar]) -> tuple[tuple[Tree, Scalar], Bool[Array, ""]]:
+        new = update(last[0])
+        change = size(minus(new, last[0]), new)
+        return (new, change), ~(change > tolerance)  # NaN ends it
 
-    def body(carry: tuple[Tree, Scalar, Scalar]) -> tuple[Tree, Scalar, Scalar]:
+    off = zero_as(start) + off
+    (value, change), count = until(step, (start, off), max_iterations, ended=~(off > tolerance))
+    return value, change, count
+
+
+def until(
+    step: Callable[[Tree], tuple[Tree, Bool[Array, ""]]],
+    start: Tree,
+    most: int,
+    ended: Bool[Array, ""] | bool = False,
+) -> tuple[Tree, Scalar]:
+    """Repeat a step until it says that it was the last one; the values, and the number of steps.
+
+    Args:
+        step: values -> the next ones, and whether they are the last.
+        start: the first values.
+        most: the largest number of steps.
+        ended: whether the first values are the last.
+    """
+    zero = zero_as(start)
+
+    def goes_on(carry: tuple[Tree, Bool[Array, ""], Scalar]) -> Bool[Array, ""]:
+        _, ended, count = carry
+        return ~ended & (count < most)
+
+    def body(carry: tuple[Tree, Bool[Array, ""], Scalar]) -> tuple[Tree, Bool[Array, ""], Scalar]:
         value, _, count = carry
-        return *update(value), count + 1.0
+        return *step(value), count + 1.0
 
-    return jax.lax.while_loop(unsettled, body, (first, zero + change, zero))
-
-
-def _measured(
-    update: Callable[[Tree], Tree], size: Callable[[Tree, Tree], Scalar]
-) -> Callable[[Tree], tuple[Tree, Scalar]]:
-    """The update with the size of its change, as `picard` takes it."""
-
-    def measured(value: Tree) -> tuple[Tree, Scalar]:
-        new = update(value)
-        return new, size(minus(new, value), new)
-
-    return measured
+    value, _, count = jax.lax.while_loop(goes_on, body, (start, (zero > 0) | ended, zero))
+    return value, count
 
 
 def newton(step: Callable[[Tree], Tree], start: Tree, num_steps: int) -> Tree:

@@ -1,7 +1,7 @@
 """All tolerances and limits of the solver, each with what it protects."""
 
 # fixed points and roots
-MAX_ITERATIONS = 64  # of a linear fixed point: one that does not settle shows as NaN, and does not hang
+MAX_ITERATIONS = 100  # of a linear fixed point: one that does not settle shows as NaN, and does not hang
 CURVATURE_STEPS = 8  # from the curvature of parallel tendons: enough for rounding errors of any slanted tendon
 STRAIN_STEPS = 6  # from the strain at rest: likewise for a cross-section in space
 JOINT_STEPS = 6  # of r beyond a joint: r changes the angle there by mu d d' kappa only

@@ -11,7 +11,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from ..errors import InputError
 from ..mechanics.fields import AnyFields, fields_at, tendons_first
-from ..mechanics.problem import State, edge_nudge, geometry_at, guarded_section, strain_of
+from ..mechanics.problem import BodyStates, State, edge_nudge, geometry_at, guarded_section, strain_of
 from ..numerics.arrays import words_or_shapes
 from ..numerics.elements import Elements
 from ..numerics.given_numbers import check_numbers
@@ -163,9 +163,7 @@ class Dense(eqx.Module):
     direction: PerTendon
     edges: Float[Array, " edges"]  # of the elements, m
     order: int = eqx.field(static=True)  # nodes in each element
-    starts: State
-    nodes: State
-    ends: State
+    states: BodyStates
     solved: Bool[Array, ""]
 
     @property
@@ -175,7 +173,7 @@ class Dense(eqx.Module):
 
     def state(self, arc_length: Float[Array, ""]) -> State:
         """The integrated state at one arc length."""
-        return self.elements.interpolate(self.starts, self.nodes, self.ends, arc_length)
+        return self.elements.interpolate(*self.states, arc_length)
 
     def __call__(self, arc_length: Float[Array, ""]) -> AnyFields:
         """The fields at one arc length, tendons last."""
@@ -201,8 +199,7 @@ class Dense(eqx.Module):
         left, right = cut.edges[:-1, None], cut.edges[1:, None]
         places = left + cut.width[:, None] * FRACTIONS
         within = jnp.clip(places, left + nudge, right - nudge)  # at a joint each side has its own radius
-        ends = self.starts, self.nodes, self.ends
-        states = jax.tree.map(lambda a, b, c: cut.resample(a, b, c, FRACTIONS), *ends)
+        states = jax.tree.map(lambda a, b, c: cut.resample(a, b, c, FRACTIONS), *self.states)
         states = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), states)
         strain = jnp.abs(jax.vmap(self._strain)(within.ravel(), states))
         same = 64 * float(jnp.finfo(strain.dtype).eps)  # where the strain is constant, the first point counts

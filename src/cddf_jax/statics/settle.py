@@ -60,35 +60,16 @@ class Setup(eqx.Module):
 
     def system(self, settled: "Settled") -> System:
         """What an equilibrium has to fulfil. Where the path of the loads ended early, it is under those of its end."""
-        problem, path = self.sliding(settled.direction).problem, settled.load_path
+        problem, path = self.with_numbers(direction=settled.direction).problem, settled.load_path
         if problem.loads is not None:
             fraction = jnp.where(path.converged, 1.0, path.fraction)
             problem = loaded_to(problem, fraction, path.base_moment * problem.moment_scale)
         return System(self.method, problem, self.equations, self.unknown)
 
-    @property
-    def iteration(self) -> FixedPoint:
-        """The method of a loaded body, whose iterations go on together with those of the moment at the base."""
-        assert isinstance(self.method, FixedPoint)
-        return self.method
-
-    def pulled(self, base_tension: PerTendon) -> "Setup":
-        """The same with other base tensions, N."""
-        return _with(self, base_tension=base_tension)
-
-    def searching(self, unknown: tuple[int, ...], equations: Equations, num_targets: int) -> "Setup":
-        """The same with tendons whose tension is searched for, and equations of the targets."""
-        return replace(self, unknown=unknown, equations=equations, num_targets=num_targets)
-
-    def sliding(self, direction: PerTendon) -> "Setup":
-        """The same with other directions."""
-        return _with(self, direction=direction)
-
-
-def _with(setup: Setup, **number: PerTendon) -> Setup:
-    """The same with another value of a number of its problems."""
-    problem, rough = (each and replace(each, **number) for each in (setup.problem, setup.rough))
-    return replace(setup, problem=problem, rough=rough)
+    def with_numbers(self, **numbers: PerTendon) -> "Setup":
+        """The same with other numbers of its problems: base_tension, N, or direction."""
+        problem, rough = (each and replace(each, **numbers) for each in (self.problem, self.rough))
+        return replace(self, problem=problem, rough=rough)
 
 
 def set_up(
@@ -130,7 +111,7 @@ def settle(setup: Setup) -> Settled:
         return settled(setup)
 
     def attempt(direction: PerTendon) -> tuple[Settled, PerTendon, Flag]:
-        found = settled(setup.sliding(direction))
+        found = settled(setup.with_numbers(direction=direction))
         return found, found.travel, found.load_path.converged
 
     start, tension = unsettled(setup), setup.problem.base_tension
@@ -166,11 +147,14 @@ def unsettled(setup: Setup) -> Settled:
 def _loaded(setup: Setup) -> Settled:
     """Follow the loads on the rough body, then settle the body with its kinks."""
     assert setup.rough is not None
+    assert isinstance(setup.method, FixedPoint)
     start = unsettled(setup)
-    rough = LoadedBody(setup.rough, setup.iteration)
+    rough = LoadedBody(setup.rough, setup.method)
     path, end = follow_loads(rough, start.num_iterations)
     system = setup.system(start._replace(load_path=path))
-    found, num_iterations = polish(system, rough.roughly(end, system, setup.num_targets), rough.turned_by_moment(end))
+    found, num_iterations = polish(
+        system, rough.roughly(end, system, setup.num_targets), rough.headings(end.slopes[:-1])
+    )
     pull = state_at_nodes(rough.problem, rough.nodal(end.values), end.strain).pull
     moment = found.unknowns[len(setup.unknown) :].reshape(path.base_moment.shape)
     arrived = path.converged

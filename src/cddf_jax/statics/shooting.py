@@ -31,7 +31,7 @@ from ..mechanics.tendon_displacement import tendon_displacement
 from ..numerics import tolerances as tol
 from ..numerics.arrays import largest_size, relative_size, varying_as, zero_as
 from ..numerics.elements import Elements
-from .system import Flag, Polished, Slopes, System, few_round_offs, magnitude, moment_left_at_tip, newton_step
+from .system import Flag, Polished, Slopes, System, few_round_offs, moment_left_at_tip, newton_step
 
 # The values of a loaded body in one array, as XLA compiles a kernel for every array that a loop carries. Rows: r of
 # each tendon, M_ext over its scale, and the heading; in space twice the quaternion, whose change is an angle. Columns:
@@ -129,9 +129,9 @@ class LoadedBody(NamedTuple):
         moment, turned, solution = self.moment(before.values), self.headings(new.slopes), new.solution
         newton, off = newton_step(self.problem, moment, new.residual, turned[:-1], new.residual_slopes[:-1])
         # where the march is less accurate than the residual is large, the residual may be an error of the march
-        inaccurate = (solution.residual > magnitude(new.residual)) & ~solution.converged
+        inaccurate = (solution.residual > largest_size(new.residual)) & ~solution.converged
         step = jnp.where(inaccurate, 0.0, newton)
-        sane = jnp.isfinite(magnitude(newton)) & jnp.isfinite(solution.residual) & ~solution.locked
+        sane = jnp.isfinite(largest_size(newton)) & jnp.isfinite(solution.residual) & ~solution.locked
         changed = relative_size(new.residual_slopes - before.residual_slopes, new.residual_slopes)
         settled = sane & solution.converged & (jnp.maximum(off, changed) <= 2 * few_round_offs(off) ** 0.5)
         near = sane & self._is_near(before, new, jnp.maximum(off, solution.residual), fraction)
@@ -171,7 +171,7 @@ class LoadedBody(NamedTuple):
         rough = jnp.where(fraction == 0, tol.ROUGH_AT_START, tol.ROUGH)
         enough = rough * jnp.minimum(1.0, slope)  # the sign of the slope must be known
         drift = new.residual_slopes - before.residual_slopes
-        steady = magnitude(drift[:-1]) <= tol.STEADY * slope
+        steady = largest_size(drift[:-1]) <= tol.STEADY * slope
         steady &= relative_size(drift, new.residual_slopes) <= tol.STEADY
         if self.problem.geometry.has_frames:  # where stability follows from the turns
             turns, last = self.headings(new.slopes[:-1]), self.headings(before.slopes[:-1])
@@ -195,10 +195,6 @@ class LoadedBody(NamedTuple):
         start = system.with_moment(self.moment(end.values)) + zero, self.nodal(end.values, finer), states
         return Polished(*start, slopes, slopes.residual[0], zero, zero > 0, zero > 0, zero + tol.REFINED)
 
-    def turned_by_moment(self, iterate: Iterate) -> Array:
-        """The slopes of the headings by M_ext(0) over its scale."""
-        return self.headings(iterate.slopes[:-1])
-
     def is_stable(self, iterate: Iterate) -> Flag:
         """Whether the smallest eigenvalue of the tangent is positive: no conjugate point along the body."""
         turned, heading = self.headings(iterate.slopes[:-1, :, 1:]), self.headings(iterate.values[:, 1:])
@@ -219,7 +215,7 @@ class LoadedBody(NamedTuple):
         """The derivative of the values by loads or tensions, while M_ext(0) follows so that M_ext(L) stays m."""
         by_moment, last = iterate.residual_slopes[:-1], iterate.residual_slopes[-1]
         follows = -self.problem.geometry.moment_for(by_moment, last)
-        return iterate.slopes[-1] + along_moment(iterate.slopes, jnp.where(magnitude(last) == 0, 0.0, follows))
+        return iterate.slopes[-1] + along_moment(iterate.slopes, jnp.where(largest_size(last) == 0, 0.0, follows))
 
     def travel_rate(self, iterate: Iterate, fraction: Number) -> PerTendon:
         """The rate, m, at which tendons slide in while all base tensions rise in proportion."""

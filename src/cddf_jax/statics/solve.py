@@ -186,7 +186,8 @@ def _outputs(balance: Balance, found: Found, physical: Bool[Array, ""]) -> Equil
     truncation = balance.error_amplification * truncation_error(*without_derivative((problem, solution)))
     round_off = 4 * float(jnp.finfo(truncation.dtype).eps)
     contradicted = solved & is_contradicted(problem.direction, balance.travel, problem.elements.edges[-1])
-    dense = _dense(problem, solution, solved)
+    tensions, cut = (problem.base_tension, problem.direction), problem.elements
+    dense = Dense(problem.manipulator, *tensions, cut.edges, cut.order, solution.states, solved)
     return Equilibrium(
         along=nan_unless(solved, _along(problem, solution, dense)),
         tip_position=nan_unless(solved, tip.position),
@@ -228,12 +229,6 @@ def _status(
         (jnp.asarray(truncation > tol.ACCURACY), Status.inaccurate),
         (contradicted, Status.direction_contradicted),
     )
-
-
-def _dense(problem: Problem, solution: Solution, solved: Bool[Array, ""]) -> Dense:
-    cut, states = problem.elements, solution.states
-    tensions = problem.base_tension, problem.direction
-    return Dense(problem.manipulator, *tensions, cut.edges, cut.order, *states, solved)
 
 
 def _fraction_left(problem: Problem, tip: Pull) -> PerTendon | float:

@@ -16,7 +16,7 @@ from ..mechanics.march import FixedPoint
 from ..mechanics.problem import BodyStates, Method, Moment, Nodal, Number, Problem, Solution, nodal
 from ..numerics import tolerances as tol
 from ..numerics.arrays import computed_once, largest_size, relative_size, zero_as
-from ..numerics.fixed_point import Unknowns, picard
+from ..numerics.fixed_point import Unknowns, until
 
 Tree = TypeVar("Tree")
 Flag = Bool[Array, ""]
@@ -142,11 +142,11 @@ def polish(system: System, start: Polished, turned: Array) -> tuple[Polished, Nu
         start: a rough equilibrium.
         turned: the slopes of the headings by the base moment over its scale, approximately.
     """
-    zero, method = zero_as(start), system.method
+    method = system.method
     assert isinstance(method, FixedPoint)
     tolerance = method.tolerance_of(system.problem)
 
-    def again(last: Polished) -> tuple[Polished, Number]:
+    def again(last: Polished) -> tuple[Polished, Flag]:
         others = last.states.nodes.strain, last.change
         better, residual, slopes, solution = system.with_slopes(last.nodal, last.unknowns, last.slopes, *others)
         step, off = _moment_step(system, last.unknowns, residual, slopes, turned)
@@ -156,10 +156,9 @@ def polish(system: System, start: Polished, turned: Array) -> tuple[Polished, Nu
             changed = relative_size(slopes.residual - last.slopes.residual, slopes.residual)
             settled &= changed <= tol.SAME_SLOPES * tolerance
         found = last.unknowns + step, slopes.moved(better, step), solution.states, slopes, residual, solution.missed
-        return Polished(*found, settled, solution.locked, change), jnp.where(settled | lost, zero, 1.0)
+        return Polished(*found, settled, solution.locked, change), settled | lost
 
-    found, _, count = picard(again, start, 0.0, method.max_iterations)
-    return found, count
+    return until(again, start, method.max_iterations)
 
 
 def _moment_step(
@@ -187,18 +186,13 @@ def moment_left_at_tip(problem: Problem, solution: Solution) -> Moment:
     return (solution.tip.moment - problem.outboard.tip_moment) / problem.moment_scale
 
 
-def magnitude(moment: Array) -> Number:
-    """The largest component."""
-    return jnp.abs(moment) if moment.ndim == 0 else largest_size(moment)
-
-
 def newton_step(
     problem: Problem, moment: Moment, residual: Moment, turned: Array, by_moment: Array
 ) -> tuple[Moment, Number]:
     """The Newton step of M_ext(0), and the largest angle by which it turns the body, rad."""
-    exact = magnitude(residual) <= few_round_offs(residual)  # also where its slope vanishes
+    exact = largest_size(residual) <= few_round_offs(residual)  # also where its slope vanishes
     step = computed_once(jnp.where(exact, 0.0, -problem.geometry.moment_for(by_moment, residual)))
-    size, length = 1 + magnitude(moment), magnitude(step)
+    size, length = 1 + largest_size(moment), largest_size(step)
     angle = length * jnp.maximum(1 / size, largest_size(turned))
     return step, computed_once(jnp.where(length <= few_round_offs(step) * size, 0.0, angle))  # less than rounding
 

@@ -1,6 +1,7 @@
 """The search for base tensions that reach targets, or come nearest to them."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -14,7 +15,7 @@ from ..mechanics.directions import is_contradicted
 from ..mechanics.problem import Number, Problem, Solution, geometry_of
 from ..numerics import tolerances as tol
 from ..numerics.arrays import zero_as
-from ..numerics.fixed_point import picard, solve_small, without_derivative
+from ..numerics.fixed_point import solve_small, until, without_derivative
 from .balance import Balance, balance
 from .settle import Settled, Setup, settle, unsettled
 from .system import Equations
@@ -66,7 +67,7 @@ class _Aim(NamedTuple):
     def with_tensions(self, setup: Setup, tension: Tensions) -> Setup:
         """The setup with values of the unknown tensions."""
         given = setup.problem.base_tension
-        return setup.pulled(given.at[jnp.asarray(self.setup.unknown)].set(self.scale * tension))
+        return setup.with_numbers(base_tension=given.at[jnp.asarray(self.setup.unknown)].set(self.scale * tension))
 
     @property
     def num_moments(self) -> int:
@@ -91,7 +92,7 @@ class _Aim(NamedTuple):
         settled = without_derivative(best.settled._replace(slopes=slopes))
         unknown = self.setup.unknown
         equations = Partial(_ruled, rule, misses, self.scale, np.asarray(unknown))
-        searching = setup.searching(unknown, equations, len(unknown))
+        searching = replace(setup, unknown=unknown, equations=equations, num_targets=len(unknown))
         return balance(self.with_tensions(searching, best.tension), settled)
 
     def nothing(self, start: Tensions) -> _TensionTrial:
@@ -156,7 +157,7 @@ def _aim_at(setup: Setup, wanted: "Wanted") -> _Aim:
     kinds = list(wanted.values())
     least = jnp.zeros(len(wanted)) + setup.zero + zero_as(wanted)
     return _Aim(
-        setup.searching(tuple(wanted), Partial(_misses, setup, wanted), len(wanted)),
+        replace(setup, unknown=tuple(wanted), equations=Partial(_misses, setup, wanted), num_targets=len(wanted)),
         scale,
         least=least,
         most=jnp.full_like(least, tol.FARTHEST),
@@ -214,7 +215,7 @@ def _levenberg_marquardt(
     """
     zero = zero_as(nothing)
     state = _Search(nothing, start + zero, zero, zero, improved=zero > 0, slack=nothing.tension < 0)
-    found, _, _ = picard(lambda state: _judge(aim, held, state), state, 0.0, tol.MAX_EVALUATIONS)
+    found, _ = until(lambda state: _judge(aim, held, state), state, tol.MAX_EVALUATIONS)
     return found.best, found.slack
 
 
@@ -223,8 +224,8 @@ def _counted(aim: _Aim, residual: Array, slack: Flags) -> Array:
     return residual if aim.pulled is None else jnp.where(slack, 0.0, residual)
 
 
-def _judge(aim: _Aim, held: Flags, state: _Search) -> tuple[_Search, Number]:
-    """Try tensions, keep the better trial, and choose the next tensions; and 1, or 0 where the search has ended."""
+def _judge(aim: _Aim, held: Flags, state: _Search) -> tuple[_Search, Bool[Array, ""]]:
+    """Try tensions, keep the better trial, and choose the next tensions; and whether the search has ended."""
     trial, evaluations = aim.evaluate(state.next), state.num_evaluations + 1.0
     better = _cost(aim, trial, state.slack) < _cost(aim, state.best, state.slack)
     best = jax.tree.map(lambda new, old: jnp.where(better, new, old), trial, state.best)
@@ -234,7 +235,7 @@ def _judge(aim: _Aim, held: Flags, state: _Search) -> tuple[_Search, Number]:
     step, slack, damping, rests = _next_step(aim, held, best, damping, state.slack)
     following = jnp.where(nowhere, _elsewhere(aim, evaluations), step)
     done = jnp.where(nowhere, evaluations > len(tol.OTHER_TENSIONS), rests)
-    return _Search(best, following, damping, evaluations, better, slack), jnp.where(done, 0.0 * damping, 1.0)
+    return _Search(best, following, damping, evaluations, better, slack), done
 
 
 def _elsewhere(aim: _Aim, evaluations: Number) -> Tensions:
@@ -310,7 +311,7 @@ def _reach_place(setup: Setup, target: TipPosition) -> tuple[Balance, Found]:
 def _aim_at_place(setup: Setup, target: TipPosition) -> _Aim:
     scale, given = bending_tension(setup.manipulator), setup.problem.base_tension
     misses = Partial(TipPosition.misses, target, setup)
-    searching = setup.searching(tuple(range(given.size)), misses, jnp.size(target.value))
+    searching = replace(setup, unknown=tuple(range(given.size)), equations=misses, num_targets=jnp.size(target.value))
     return _Aim(searching, scale, *target.limits(scale, given))
 
 
@@ -367,7 +368,7 @@ def _least_total(aim: _Aim, target: TipPosition) -> _TensionTrial:
     alike = alike + zero
     towards = jnp.clip(tol.FIRST_TENSION * target.on_the_side(aim.setup), aim.least, aim.most) + zero
 
-    def next_round(state: _Rounds) -> tuple[_Rounds, Number]:
+    def next_round(state: _Rounds) -> tuple[_Rounds, Bool[Array, ""]]:
         best, good = _better(aim.setup, _levenberg_marquardt(aim, nothing, state.start, state.held)[0], state.best)
         longest = jnp.where(state.num_rounds <= tol.OTHER_SEARCHES, jnp.inf, jnp.where(good, 2.0, 0.25) * state.length)
         start, length, gain = _gradient_projection(aim, best, longest)
@@ -378,10 +379,10 @@ def _least_total(aim: _Aim, target: TipPosition) -> _TensionTrial:
         held = ~another & ((start <= aim.least) | (start >= aim.most))
         num_rounds = jnp.where(another, state.num_rounds, jnp.maximum(state.num_rounds, tol.OTHER_SEARCHES)) + 1.0
         goes_on = (gain > tol.LEAST_GAIN) & jnp.isfinite(best.cost) & (num_rounds < tol.MAX_ROUNDS)
-        return _Rounds(best, start, held, length, num_rounds), jnp.where(another | goes_on, 1.0 + zero, zero)
+        return _Rounds(best, start, held, length, num_rounds), ~(another | goes_on)
 
     first = _Rounds(nothing, towards, alike < 0, zero, zero)
-    return picard(next_round, first, 0.0, tol.MAX_ROUNDS)[0].best
+    return until(next_round, first, tol.MAX_ROUNDS)[0].best
 
 
 def _num_against(setup: Setup, trial: _TensionTrial) -> Number:
