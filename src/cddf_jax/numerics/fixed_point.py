@@ -122,11 +122,15 @@ def _solve_by_iteration(push: Callable[[Tree], Tree], pushed: Tree) -> Tree:
         start, as_tree = ravel_pytree(known)
         settled = round_off(start.dtype)
 
-        def again(v: Array) -> Array:
-            return start + v - ravel_pytree(operator(as_tree(v)))[0]
+        def again(last: tuple[Array, Scalar]) -> tuple[tuple[Array, Scalar], Bool[Array, ""]]:
+            value, before = last
+            new = start + value - ravel_pytree(operator(as_tree(value)))[0]
+            change = relative_size(new - value, new)
+            rounding = (change <= tol.NEARLY * settled) & (change > 0.5 * before)  # it falls no further
+            return (new, change), ~(change > settled) | rounding  # NaN ends it
 
-        value, change, _ = picard(again, start, settled)
-        return as_tree(jnp.where(change <= 1e3 * settled, value, jnp.nan))
+        (value, change), _ = until(again, (start, zero_as(start) + jnp.inf), tol.MAX_ITERATIONS)
+        return as_tree(jnp.where(change <= tol.NEARLY * settled, value, jnp.nan))
 
     return jax.lax.custom_linear_solve(
         lambda v: minus(v, push(v)), pushed, solve=solve_linear, transpose_solve=solve_linear

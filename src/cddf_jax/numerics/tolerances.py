@@ -2,6 +2,7 @@
 
 # fixed points and roots
 MAX_ITERATIONS = 100  # of a linear fixed point: one that does not settle shows as NaN, and does not hang
+NEARLY = 1e3  # times rounding errors: a linear fixed point whose change is larger has not settled
 CURVATURE_STEPS = 8  # from the curvature of parallel tendons: enough for rounding errors of any slanted tendon
 STRAIN_STEPS = 6  # from the strain at rest: likewise for a cross-section in space
 JOINT_STEPS = 6  # of r beyond a joint: r changes the angle there by mu d d' kappa only
