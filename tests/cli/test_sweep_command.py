@@ -81,15 +81,7 @@ def test_a_sweep_with_all_its_files_and_once_more_after_a_stop(run, tmp_path, mo
     assert list(answer["tip_position"].dims) == ["base_tension", "friction_coefficient", "component"]
     np.testing.assert_allclose(answer["base_tension"], tensions, rtol=1e-15)
     np.testing.assert_allclose(answer["tip_tension"].isel(tendon=0), expected, rtol=1e-9)
-    assert told["axes"] == [
-        {"name": "base_tension", "dimension": "base_tension", "first": 5.0, "last": 85.0, "count": 5, "unit": "N"},
-        {"name": "friction_coefficient", "dimension": "friction_coefficient"}
-        | {"first": pytest.approx(0.1), "last": pytest.approx(0.6), "count": 4, "unit": "1"},
-    ]
     assert (told["solves"], told["solves_there_before"], told["results"]) == (20, 0, {"successful": 20})
-    assert told["outputs"]["tip_tension"]["min"] == [pytest.approx(expected.min())]
-    assert told["outputs"]["tip_tension"]["max"] == [pytest.approx(expected.max())]
-    assert told["outputs"]["tip_position"]["max"] == pytest.approx(answer["tip_position"].values.max((0, 1)))
     assert told["options"]["over"] == ["base_tension=5N:85N:5", "friction_coefficient=0.1:0.6:4"]
 
     rows = rows_of("tables/sweep.csv")
@@ -126,8 +118,6 @@ def test_failed_solves_are_counted_and_reported(run):
     assert first.endswith(": 1 successful, 1 crossing, 1 unphysical")
     assert others[0].startswith("crossing: offset * curvature reaches 1: fibres of the body would cross")
     assert others[1].startswith("unphysical: The body or its load is not physical")
-    tip = tip_tension(10.0, 0.42)
-    assert f"tip_tension: {tip:.5g} N to {tip:.5g} N" in others
     rows = rows_of("folder/table.csv")
     assert list(rows[0]) == ["base_tension [N]", "tip_tension [N]", "result"]  # no line along the body in a table
     assert [row["result"] for row in rows] == ["unphysical", "successful", "crossing"]
@@ -195,9 +185,7 @@ def test_a_task_file_gives_the_options_and_the_command_line_overrides_it(run, tm
     code, text, error = run("--task", "task.toml", "--samples", 3, "--json")
     assert (code, error) == (0, "")
     told = json.loads(text)
-    assert [(axis["name"], axis["count"]) for axis in told["axes"]] == [
-        *(("base_tension", 5), ("kinematics", 2), ("youngs_modulus", 3)),
-    ]
+    assert told["axes"] == {"base_tension": 5, "kinematics": 2, "sample": 3}
     assert told["outputs"] == ["tip_tension"]
 
 
@@ -225,16 +213,11 @@ def test_a_dry_run_writes_nothing(run, tmp_path, monkeypatch):
     assert (code, error) == (0, "")
     assert not list(tmp_path.iterdir())
     lines = text.splitlines()
-    assert lines[:4] == [
-        "40 solves",
-        "base_tension: 5 N to 85 N, 5 values",
-        "friction_coefficient: 0.1 to 0.6, 4 values",
-        "nodes: 8 to 16, 2 values",
-    ]
+    assert lines[0] == "40 solves: base_tension 5, friction_coefficient 4, nodes 2"
     # tip tension, two components and the angle in float64, the mask and the result: 34 bytes
-    assert lines[4] == "answer: tip_tension, tip_position, tip_angle; 1.4 kB on disk at most"
-    assert lines[5].startswith(f"memory: {3 * 8 * 34} bytes needed, ")
-    assert len(lines) == 6
+    assert lines[1] == "answer: tip_tension, tip_position, tip_angle; 1.4 kB on disk at most"
+    assert lines[2].startswith(f"memory: {3 * 8 * 34} bytes needed, ")
+    assert len(lines) == 3
 
 
 # --- reading -------------------------------------------------------------------------------------

@@ -1,7 +1,7 @@
 """How `cddf sweep` runs, where its results go, and what it prints: JSON in SI units, and words."""
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,10 +17,9 @@ from ..errors import InputError, in_utf8, within
 from ..progress import stage
 from ..robot.loads import loads_as_dict
 from ..statics.status import Status, words_of
-from ..sweeping.export import blocks_of, is_short, labelled, write_csv, write_netcdf
+from ..sweeping.export import is_short, write_csv, write_netcdf
 from ..sweeping.one_solve import RESULT, VERDICTS
 from ..sweeping.sweep import Sweep
-from ..units import DIMENSION_OF, shown
 from .report import Content, Report, versions
 
 if TYPE_CHECKING:
@@ -81,12 +80,12 @@ def run_sweep(work: Sweep, store: Path, options: Mapping[str, object]) -> "tuple
     seconds = time.perf_counter() - start
     if not is_first_process():
         return None
+    counts = np.bincount(answer[RESULT].values.ravel(), minlength=len(Status))
     summary: Json = {
         "solves": work.layout.size,
         "solves_there_before": before,
         "seconds": seconds,
-        "axes": _axes(work),
-        **_results_and_ranges(work, answer),
+        "results": {status.name: int(n) for status, n in zip(Status, counts, strict=True) if n},
         **({} if work.loads is None else {"loads": loads_as_dict(work.loads)}),
         "options": {name: str(value) if isinstance(value, Path) else value for name, value in options.items()},
         "identity": work.identity,
@@ -116,7 +115,7 @@ def sweep_report(
         if netcdf is not None:
             write_netcdf(answer, netcdf)
         if csv is not None:
-            write_csv(work.layout, answer, csv)
+            write_csv(answer, csv)
         return made
 
     told: Json = summary | {"no_figure": no_figure}
@@ -124,46 +123,12 @@ def sweep_report(
     return Report(name, summary_in_words(told), told, files, failure)
 
 
-def _axes(work: Sweep) -> list[Json]:
-    """What varies, by dimension: first and last value, and the number of values."""
-    found: list[Json] = []
-    for dimension in work.dimensions:
-        together = dimension.name not in (dimension.numbers | dimension.options)
-        for name, values in (dimension.numbers | dimension.options).items():
-            first, last = (min(values), max(values)) if together else (values[0], values[-1])
-            unit = work.case.unit(name) if name in dimension.numbers else None
-            ends = {"first": first, "last": last, "count": dimension.size, "unit": unit}
-            found.append({"name": name, "dimension": dimension.name} | ends)
-    return found
-
-
-def _results_and_ranges(work: Sweep, answer: "xarray.Dataset") -> Json:
-    """The number of solves by result, and the range of each output over the successful solves."""
-    layout, rank = work.layout, len(work.dimensions)
-    counts = np.zeros(len(Status), int)
-    outputs: dict[str, Json] = {
-        str(name): {"unit": array.attrs.get("units"), "dims": array.dims[rank:], "min": None, "max": None}
-        for name, array in layout.empty.data_vars.items()
-        if name not in VERDICTS
-    }
-    for block in blocks_of(layout, answer):
-        successful = block["successful"].values
-        counts += np.bincount(block[RESULT].values.ravel(), minlength=len(Status))
-        for name, output in outputs.items() if np.any(successful) else ():
-            good = block[name].values[successful]
-            along = (0, *(i for i, dim in enumerate(output["dims"], 1) if dim == "point"))
-            for end, extreme in (("min", np.fmin), ("max", np.fmax)):
-                found = extreme.reduce(good, along)
-                output[end] = found if output[end] is None else extreme(output[end], found)
-    return {"results": {status.name: int(n) for status, n in zip(Status, counts, strict=True) if n}, "outputs": outputs}
-
-
 def rehearse(work: Sweep) -> Json:
     """The number of solves, memory and disk of a sweep, without solving or writing anything."""
     layout = work.layout
     return {
         "solves": layout.size,
-        "axes": _axes(work),
+        "axes": {dimension.name: dimension.size for dimension in work.dimensions},
         "outputs": [name for name in layout.empty.data_vars if name not in VERDICTS],
         "bytes": layout.size * layout.bytes_each,
         "memory": {"needed": COPIES * layout.bytes_each * layout.chunk_size, "free": work.free},
@@ -182,34 +147,14 @@ def summary_in_words(summary: Json) -> str:
     lines = [f"{total:,} solve{'s' if total > 1 else ''}{how}: {counts}"]
     failed = [name for name in summary["results"] if name != "successful"]
     lines += [f"{name.replace('_', ' ')}: {words_of(Status[name])}" for name in failed]
-    lines += _ranges(summary["outputs"])
     lines += [f"no figure: {summary['no_figure']}"] if summary["no_figure"] else []
     return "\n".join(lines)
 
 
 def rehearsal_in_words(expected: Json) -> str:
     """The answer of `rehearse` for the terminal."""
-    memory, lines = expected["memory"], [f"{expected['solves']:,} solves"]
-    for axis in expected["axes"]:
-        name = f"{axis['name']} " if axis["name"] != axis["dimension"] else ""
-        first, last = (_number(np.asarray(axis[end]), axis["unit"]) for end in ("first", "last"))
-        values = f"{first} to {last}, {axis['count']:,} values" if axis["count"] > 1 else f"{first}, 1 value"
-        lines.append(f"{axis['dimension']}: {name}{values}")
+    memory, axes = expected["memory"], ", ".join(f"{name} {size:,}" for name, size in expected["axes"].items())
+    lines = [f"{expected['solves']:,} solves: {axes}"]
     disk, needed, free = map(filesize.decimal, (expected["bytes"], memory["needed"], int(memory["free"])))
     lines.append(f"answer: {', '.join(expected['outputs'])}; {disk} on disk at most")
     return "\n".join([*lines, f"memory: {needed} needed, {free} free"])
-
-
-def _ranges(outputs: Json) -> Iterator[str]:
-    """ "tip_tension: 5.2 N to 45.1 N", a line for each number of the outputs."""
-    for name, output in outputs.items():
-        own = [dimension for dimension in output["dims"] if dimension != "point"]
-        for place, label in labelled(name, own, np.shape(output["min"])) if output["min"] is not None else ():
-            low, high = (_number(output[end][place], output["unit"] or "") for end in ("min", "max"))
-            yield f"{label}: {low} to {high}"
-
-
-def _number(value: np.ndarray, unit: str | None) -> str:
-    if value.dtype.kind == "b" or unit is None:
-        return str(value).lower() if value.dtype.kind == "b" else str(value)
-    return shown(value, DIMENSION_OF[unit]) if unit in DIMENSION_OF else f"{float(value):.5g} {unit}".strip()

@@ -1,14 +1,12 @@
 """Sweeps as NetCDF and CSV files, each written complete or not at all."""
 
 from collections.abc import Hashable, Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..batch.drafts import in_one_step
-from ..batch.work import Layout, even_chunks
 from ..errors import needed
 from ..statics.named_numbers import of_tendon
 from ..statics.status import Status
@@ -28,28 +26,19 @@ def write_netcdf(answer: "xarray.Dataset", path: Path) -> None:
         whole.assign_coords(texts).to_netcdf(draft, engine="scipy", format="NETCDF3_64BIT")
 
 
-def write_csv(layout: Layout, answer: "xarray.Dataset", path: Path) -> None:
+def write_csv(answer: "xarray.Dataset", path: Path) -> None:
     """Write a table with a row for each solve: what varies, the outputs except those along the body, the result."""
     pandas = needed("pandas")
-    with in_one_step(path) as draft, open(draft, "w", encoding="utf-8", newline="") as file:
-        places = {name: np.arange(answer.sizes[name]) for name in layout.chunks if name not in answer.coords}
-        for i, block in enumerate(blocks_of(layout, answer.assign_coords(places))):
-            pandas.DataFrame(_columns(block)).to_csv(file, index=False, header=i == 0)
+    places = {name: np.arange(answer.sizes[name]) for name in answer[RESULT].dims if name not in answer.coords}
+    with in_one_step(path) as draft:
+        pandas.DataFrame(_columns(answer.assign_coords(places).load())).to_csv(draft, index=False)
 
 
-def blocks_of(layout: Layout, answer: "xarray.Dataset") -> Iterator["xarray.Dataset"]:
-    """The dataset in blocks, in the order of its rows, each as large as memory allows."""
-    sizes = [answer.sizes[name] for name in layout.chunks]
-    rows = even_chunks(sizes, layout.chunk_size, [False] * len(sizes))
-    for region in replace(layout, chunks=dict(zip(layout.chunks, rows, strict=True))).regions():
-        yield answer.isel(region).load()
-
-
-def _columns(block: "xarray.Dataset") -> dict[str, np.ndarray]:
-    """The columns of a table of some solves, by their heads."""
-    result = block[RESULT]
-    columns = {str(name): block[name] for axis in result.dims for name in _along(axis, block)}
-    for name, array in block.data_vars.items():
+def _columns(answer: "xarray.Dataset") -> dict[str, np.ndarray]:
+    """The columns of a table, by their heads."""
+    result = answer[RESULT]
+    columns = {str(name): answer[name] for axis in result.dims for name in _along(axis, answer)}
+    for name, array in answer.data_vars.items():
         if is_short(array) and name not in VERDICTS:
             labels = labelled(str(name), array.dims[result.ndim :], array.shape[result.ndim :])
             columns |= {label: array[(..., *place)] for place, label in labels}
@@ -59,9 +48,9 @@ def _columns(block: "xarray.Dataset") -> dict[str, np.ndarray]:
     return {head: column.values.ravel() for head, column in (every | {RESULT: named}).items()}
 
 
-def _along(axis: Hashable, block: "xarray.Dataset") -> list[Hashable]:
+def _along(axis: Hashable, answer: "xarray.Dataset") -> list[Hashable]:
     """The names of all that varies along a dimension, its own name first."""
-    return sorted((name for name, c in block.coords.items() if c.dims == (axis,)), key=lambda name: name != axis)
+    return sorted((name for name, c in answer.coords.items() if c.dims == (axis,)), key=lambda name: name != axis)
 
 
 def labelled(name: str, dims: Sequence[Hashable], shape: Sequence[int]) -> Iterator[tuple[tuple[int, ...], str]]:
