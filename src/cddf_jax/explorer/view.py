@@ -114,7 +114,7 @@ class ExplorerView:
         if name == "body.toml":
             return io.BytesIO(self.exploration.toml(case).encode())
         if name == "fields.csv":
-            return io.BytesIO(fields_csv(picture.along, self.notes).encode())
+            return io.BytesIO(fields_csv(picture.along).encode())
         figure = figures.equilibrium_figure(case.manipulator, picture.equilibrium, case.loads)
         return io.BytesIO(figures.render(figure, "explorer")[name])
 
@@ -305,15 +305,6 @@ class ExplorerView:
             numbers = (fitted.value[name], *fitted.confidence_interval[name])
             found[name] = rounded(*(from_si(number, QUANTITIES[name]) for number in numbers))
         self.move_to(self.settings._replace(numbers=found))
-
-    # --- files -----------------------------------------------------------------------------------
-
-    @property
-    def notes(self) -> list[str]:
-        """The positions of the sliders, for the head of a file."""
-        controls = self.exploration.controls
-        numbers = [f"{c.label} = {self.settings.numbers[c.name]:.10g} {c.quantity.shown[1]}".strip() for c in controls]
-        return ["cddf explore", *numbers, f"kinematics {self.settings.kinematics}"]
 
 
 def _held(function: Callable[..., None], *arguments: object) -> None:

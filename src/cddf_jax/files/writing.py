@@ -4,6 +4,7 @@ import json
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -34,7 +35,7 @@ def as_json(value: object) -> str:
 
 
 def plain(value: object) -> JsonValue:
-    """The same result in the types of JSON; a named tuple becomes a dictionary of its fields."""
+    """The same result in the types of JSON; named tuples and dataclasses become dictionaries of their fields."""
     match value:
         case str():
             return in_utf8(value)
@@ -48,6 +49,8 @@ def plain(value: object) -> JsonValue:
             return plain(as_dict())
         case list() | tuple():
             return [plain(item) for item in value]
+    if is_dataclass(value):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
     return plain(np.asarray(value).tolist())
 
 

@@ -13,12 +13,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ..mechanics import bending, space
+from ..mechanics import bending
 from ..mechanics.friction import PerTendon
-from ..mechanics.problem import at_nodes, guarded_section, strain_along, tension_of
+from ..mechanics.problem import at_nodes, geometry_of, guarded_section, strain_along, tension_of
 from ..numerics.arrays import cos_sin, zero_as
 from ..numerics.rotations import length_of
-from ..robot.cross_section import SpatialSection, planar
+from ..robot.cross_section import planar
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import Dense
 from ..statics.solve import solve
@@ -102,18 +102,15 @@ def stored_energy(dense: Dense) -> Number:
 
     In space the first term is the energy of all strains.
     """
+    geometry = geometry_of(dense.manipulator)
     body, cut = dense.manipulator, dense.elements
     section = jax.vmap(jax.vmap(lambda s: guarded_section(body, s)))(cut.nodes)
     tension = tension_of(section, dense.base_tension, dense.states.nodes.pull)
-    if isinstance(section, SpatialSection):
-        strain = strain_along(section, dense.base_tension, dense.states.nodes) - section.rest
-        length = length_of(at_nodes(space.path_rate, (0, 0))(section, section.rest))
-        elastic = jnp.sum(section.stiffness * strain**2, axis=-1)
-    else:
-        length = jnp.sqrt(1.0 + planar(section).offset_slope ** 2)
-        elastic = section.stiffness * strain_along(section, dense.base_tension, dense.states.nodes) ** 2
-    stretch = tension**2 * length * body.tendon_compliance
-    return jnp.sum(cut.gain(elastic + jnp.sum(stretch, axis=-1))) / 2
+    strain = strain_along(section, dense.base_tension, dense.states.nodes)
+    slip = partial(at_nodes(geometry.slip_rate, (0, 0, 0, None)), section, strain, tension)
+    stretch = tension * (slip(body.tendon_compliance) - slip(0.0 * body.tendon_compliance))
+    elastic = section.stiffness * at_nodes(geometry.elastic, (0, 0))(section, strain) ** 2
+    return jnp.sum(cut.gain(jnp.sum(elastic.reshape(*stretch.shape[:2], -1), axis=-1) + jnp.sum(stretch, axis=-1))) / 2
 
 
 def given_energy(dense: Dense) -> Number:

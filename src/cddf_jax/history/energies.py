@@ -20,7 +20,7 @@ from ..numerics.fixed_point import newton
 from ..robot.manipulator import Manipulator
 from ..statics.solve import solve
 from .congruent_parts import ends_of_motion
-from .fronts import Motion, is_play_of_inverse
+from .fronts import Motion, is_play_of_inverse, left_of
 from .turns import NO_STEP, Number, Turns
 
 WorkAndLoss = Float[Array, "... 2"]  # J
@@ -31,15 +31,15 @@ def work_and_loss(body: Manipulator, nodes: int, path: Float[Array, " path"], tu
     """The work at the base of each step of a path from rest, and the part of it that is lost to friction, J."""
     from_rest = turns.before == NO_STEP
     turned_at = jnp.where(from_rest, 0.0, path[turns.before])
-    there = turned_at, path, turns.direction, from_rest
-    back = path, turned_at, -turns.direction, from_rest & False
+    there = Motion(path, turns.direction, turned_at, from_rest)
+    back = Motion(turned_at, -turns.direction, path, from_rest & False)
     turned_from = jnp.append(turns.direction[1:] != turns.direction[:-1], False)  # else no step goes back from it
     needed = jnp.concatenate([jnp.ones_like(turned_from), turned_from])
 
-    def gain(given: tuple[Bool[Array, ""], tuple]) -> WorkAndLoss:
+    def gain(given: tuple[Bool[Array, ""], Motion]) -> WorkAndLoss:
         needed, motion = given
-        none = jnp.zeros(2) + 0.0 * motion[0]
-        return jax.lax.cond(needed, partial(_motion, body, nodes), lambda *_: none, *motion)
+        none = jnp.zeros(2) + 0.0 * motion.tension
+        return jax.lax.cond(needed, partial(_motion, body, nodes), lambda _: none, motion)
 
     found = jax.lax.map(gain, (needed, jax.tree.map(lambda *both: jnp.concatenate(both), there, back)))
     return jax.vmap(partial(_of_step, turns, *jnp.split(found, 2)))(jnp.arange(path.size))
@@ -61,20 +61,19 @@ def _of_step(turns: Turns, there: WorkAndLoss, back: WorkAndLoss, step: Int[Arra
     return there[step] + jnp.sum(closed - been, axis=0)
 
 
-def _motion(
-    body: Manipulator, nodes: int, turned_at: Number, tension: Number, direction: Number, from_rest: Bool[Array, ""]
-) -> WorkAndLoss:
+def _motion(body: Manipulator, nodes: int, motion: Motion) -> WorkAndLoss:
     """Work and loss of a motion since it turned, J."""
+    tension, _, turned_at, from_rest = motion
     compliance = jnp.sum(body.tendon_outside_compliance)
 
     def since_turn(tension: Number) -> WorkAndLoss:
         """The length pulled in, m, and the energy that the tendon has given to the body or stored itself, J."""
-        _, own, other = ends_of_motion(body, nodes, Motion(tension, direction, turned_at, from_rest), refined=False)
+        _, own, other = ends_of_motion(body, nodes, motion._replace(tension=tension), refined=False)
         before = jnp.where(from_rest, 0.0, jnp.stack([other.added.pulled_in, other.added.given]))
         outside = jnp.stack([tension - turned_at, (tension**2 - turned_at**2) / 2]) * compliance
         return jnp.stack([own.added.pulled_in, own.added.given]) - before + outside
 
-    cuts = jnp.stack([turned_at, _all_slides_at(body, nodes, turned_at, tension, direction, from_rest), tension])
+    cuts = jnp.stack([turned_at, _all_slides_at(body, nodes, motion), tension])
     rule, width = gauss_rule(nodes), jnp.diff(cuts)[:, None]
     weights, places = jnp.asarray(rule.weights, cuts.dtype), jnp.asarray(rule.nodes, cuts.dtype)
     found = jax.vmap(since_turn)(jnp.append(cuts[:-1, None] + width * places, tension))
@@ -83,14 +82,12 @@ def _motion(
     return jnp.stack([work, work - given])
 
 
-def _all_slides_at(
-    body: Manipulator, nodes: int, turned_at: Number, tension: Number, direction: Number, from_rest: Bool[Array, ""]
-) -> Number:
+def _all_slides_at(body: Manipulator, nodes: int, motion: Motion) -> Number:
     """The base tension, N, at which the front of a motion reaches the tip; where it does not, the last base tension.
 
     It has no derivative and needs none, because the integral does not depend on where it is divided.
     """
-    body, turned_at, tension = jax.lax.stop_gradient((body, turned_at, tension))
+    body, (tension, direction, turned_at, from_rest) = jax.lax.stop_gradient((body, motion))
     before = solve(body, turned_at, direction=-direction, nodes=nodes, throw=False).tip_tension[0]
     there = jnp.where(from_rest, 0.0, before)
     double = 2 * turned_at - there
@@ -103,7 +100,7 @@ def _all_slides_at(
 
     def missing(tension: Number) -> Number:
         pull = FixedPoint()(lay_out(body, tension[None], direction[None], nodes)).tip.pull
-        return (tension - (0.0 if pull.spent is None else pull.spent) - there * pull.ratio)[0]
+        return (left_of(tension, pull) - there * pull.ratio)[0]
 
     if not is_play_of_inverse(body):
         found = newton(nearer, found, REFINEMENTS)

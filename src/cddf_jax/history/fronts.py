@@ -13,7 +13,7 @@ from ..mechanics.friction import Pull, tension_rate
 from ..mechanics.march import FixedPoint
 from ..mechanics.problem import guarded_section, lay_out
 from ..numerics.arrays import zero_as
-from ..numerics.elements import Elements
+from ..numerics.elements import Elements, legendre_polynomials, times
 from ..numerics.fixed_point import newton
 from ..robot.cross_section import planar, spatial
 from ..robot.manipulator import Manipulator
@@ -65,7 +65,7 @@ def front_of(body: Manipulator, nodes: int, motion: Motion, *, refined: bool = T
     slides = [lay_out(body, at_base[None], way[None], nodes) for at_base, way in ends]
     pull, other = (FixedPoint()(problem).nodes.pull for problem in slides)
     # in T = (T_base - c) / r both r and c are smooth, also beyond the place where a released tendon would lock
-    gap = direction * (_left(tension, pull) * other.ratio - _left(turned_at, other) * pull.ratio)
+    gap = direction * (left_of(tension, pull) * other.ratio - left_of(turned_at, other) * pull.ratio)
     front = jnp.clip(_first_zero(slides[0].elements, gap[..., 0]), LEAST * length, length)
     if refined and not is_play_of_inverse(body):  # else r is a polynomial, and the front is exact already
         found = newton(partial(_nearer, body, nodes, ends), front, REFINEMENTS)
@@ -101,7 +101,8 @@ def _slope(body: Manipulator, place: Number, tension: Number, direction: Number)
     return tension_rate(given[1], section, turning, given[0])[0]
 
 
-def _left(tension: Number, pull: Pull) -> Float[Array, "*points"]:
+def left_of(tension: Number, pull: Pull) -> Float[Array, "*points"]:
+    """What drag leaves of a base tension, N; below zero where the tendon would be slack."""
     return tension - (0.0 if pull.spent is None else pull.spent)
 
 
@@ -140,10 +141,10 @@ def _zero_before(cut: Elements, values: Float[Array, " q"], point: UInt[Array, "
         values: at the start, the nodes and the end of the element.
         point: the start of the element, which is itself the zero, a node, or the end, counted from 0.
     """
-    points = jnp.asarray(cut.rule.points, cut.edges.dtype)
+    points, coefficients = jnp.asarray(cut.rule.points, cut.edges.dtype), times(cut.rule.series, values[1:-1])
 
     def value(place: Number) -> Number:
-        return cut.lagrange(place) @ values[1:-1]
+        return legendre_polynomials(place, cut.order) @ coefficients
 
     def narrow(state: tuple[Array, Array]) -> tuple[Array, Array]:
         (a, b), (fa, fb) = state

@@ -326,7 +326,7 @@ def fit(
     check_whole("fit: short_steps", short_steps, 2)
     if not tables or not free:
         raise InputError("fit: needs a table of measurements and a free parameter")
-    options = given | {"free": list(free), "setting": setting.as_dict(), "leave_out": left_out}
+    options = given | {"free": list(free), "setting": setting, "leave_out": left_out}
     kinds = {name: parameter_named(name) for name in free}
     earlier = np.cumsum([0, *(len(trials_of(table)) for table in tables)])
     with within("fit"):
@@ -357,7 +357,7 @@ def fit(
     observed, inputs = {group.label: group.observed for group in groups}, errors_of_base(model, tables, of_base)
     search = partial(least_squares_fit, model, observed=observed, sigma=sigma, inputs=inputs, bounds=bounds)
     in_increments = any(course is not None and course[0].short_steps is not None for course in courses)
-    search = partial(search, seed=seed, prefer_start=True, accuracy=CLOSE if in_increments else 0.0)
+    search = partial(search, seed=seed, accuracy=CLOSE if in_increments else 0.0)
     if not per_trial:
         statistics = search(start, priors=priors, scales=scales, starts=starts)
         found = _conclude(statistics, tables, model, setting, without_jitter, float("nan"), options)

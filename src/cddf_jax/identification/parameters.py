@@ -19,7 +19,7 @@ from ..measurements.markers import Marker
 from ..measurements.readings import tendon_number
 from ..numerics.given_numbers import check_numbers
 from ..quantities import dimension_of
-from ..robot.loads import Loads, loads_as_dict, point_in_words
+from ..robot.loads import Loads, point_in_words
 from ..robot.manipulator import Manipulator, Tendon
 from ..robot.profiles import shifted
 from ..units import Dimension, shown, si_unit
@@ -273,12 +273,6 @@ class BenchSetting:
             lines.append(f"loads in all rows: tip force {force} N, tip moment {moment} N m, gravity {gravity} m/s^2")
             lines += [f"in all rows a {point_in_words(point)}" for point in self.loads.points]
         return lines + [f"marker {name}: {marker}" for name, marker in self.markers.items()]
-
-    def as_dict(self) -> dict[str, object]:
-        """For `json`; loads in SI units."""
-        loads = None if self.loads is None else loads_as_dict(self.loads)
-        markers = {name: marker._asdict() for name, marker in self.markers.items()}
-        return {"loads": loads, "markers": markers, "given": dict(self.given)}
 
 
 PLAIN = BenchSetting()

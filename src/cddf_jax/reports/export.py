@@ -112,9 +112,9 @@ def as_frame(what: Equilibrium | History | Determination | Measurements | Plan) 
     )
 
 
-def fields_csv(fields: AnyFields, notes: Sequence[str] = ()) -> str:
-    """The fields along the body as the text of a CSV file, with notes above it."""
-    return "".join(f"# {note}\n" for note in notes) + table_csv(field_columns(fields))
+def fields_csv(fields: AnyFields) -> str:
+    """The fields along the body as the text of a CSV file."""
+    return table_csv(field_columns(fields))
 
 
 def fields_on_grid(equilibrium: Equilibrium) -> AnyFields:

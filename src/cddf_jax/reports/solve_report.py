@@ -9,7 +9,7 @@ from .. import figures
 from ..files.manipulator_file import RobotFile
 from ..files.writing import picked
 from ..quantities import dimension_of
-from ..robot.loads import Loads, gravity_in_words, loads_as_dict, point_in_words
+from ..robot.loads import Loads, gravity_in_words, point_in_words
 from ..statics.contact import self_contact
 from ..statics.equilibrium import Equilibrium
 from ..statics.equilibrium_text import last_lines, strain_line, tendon_lines, tip_line
@@ -48,7 +48,7 @@ def solve_as_dict(equilibrium: Equilibrium, actuation: Entries, loads: Loads | N
     elif any(isinstance(entry, Target) for entry in actuation):
         answer["targets"] = [_target_as_dict(entry) if isinstance(entry, Target) else None for entry in actuation]
     if loads is not None:
-        answer["loads"] = loads_as_dict(loads)
+        answer["loads"] = loads
     answer["self_contact"] = self_contact(equilibrium)
     every = OUTPUTS_OF[len(equilibrium.tip_position)]
     known = [name for name in every if equilibrium.has_wall or not name.startswith("peak_strain")]

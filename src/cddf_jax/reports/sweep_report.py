@@ -15,7 +15,6 @@ from ..batch.drafts import check_folder
 from ..batch.work import COPIES, items_there
 from ..errors import InputError, in_utf8, within
 from ..progress import stage
-from ..robot.loads import loads_as_dict
 from ..statics.status import Status, words_of
 from ..sweeping.export import is_short, write_csv, write_netcdf
 from ..sweeping.one_solve import RESULT, VERDICTS
@@ -86,7 +85,7 @@ def run_sweep(work: Sweep, store: Path, options: Mapping[str, object]) -> "tuple
         "solves_there_before": before,
         "seconds": seconds,
         "results": {status.name: int(n) for status, n in zip(Status, counts, strict=True) if n},
-        **({} if work.loads is None else {"loads": loads_as_dict(work.loads)}),
+        **({} if work.loads is None else {"loads": work.loads}),
         "options": {name: str(value) if isinstance(value, Path) else value for name, value in options.items()},
         "identity": work.identity,
         "versions": versions("xarray", "zarr"),

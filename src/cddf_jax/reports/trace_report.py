@@ -15,7 +15,7 @@ from ..history.stepped import ACCURACY, SteppedStates
 from ..history.trace import trace
 from ..numerics.arrays import evaluated
 from ..progress import stage
-from ..robot.loads import Loads, loads_as_dict
+from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..statics.status import Status, words_of
 from ..statics.targets import Displacement, TipAngle
@@ -120,7 +120,7 @@ def trace_as_dict(found: TracedPath) -> dict[str, object]:
     """The states after the steps of a path, and its loads, SI units, for JSON."""
     results = [Status(code).name for code in np.asarray(found.history.status)[found.steps]]
     steps = np.arange(1, len(found.steps) + 1)
-    loads = {} if found.loads is None else {"loads": loads_as_dict(found.loads)}
+    loads = {} if found.loads is None else {"loads": found.loads}
     return {"steps": steps, "results": results, **found.states, **loads}
 
 

@@ -104,13 +104,6 @@ def _check_components(what: str, vector: Number) -> None:
         raise ValueError(f"{what} must have two or three components (X, Y, Z), got shape {np.shape(vector)}")
 
 
-def loads_as_dict(loads: Loads) -> dict[str, object]:
-    """For JSON; SI units."""
-    own: dict[str, object] = {name: np.asarray(value) for name, value in vars(loads).items() if name != "points"}
-    points = [{name: np.asarray(value) for name, value in vars(point).items()} for point in loads.points]
-    return own | ({"points": points} if points else {})
-
-
 def gravity_in_words(gravity: object) -> str:
     """ "gravity (0, -9.81) m/s^2"."""
     return f"gravity ({', '.join(f'{x:.5g}' for x in np.asarray(gravity))}) m/s^2"
