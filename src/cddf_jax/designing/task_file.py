@@ -93,12 +93,12 @@ def _task(table: Table, path: Path) -> DesignTask:
     read = _each(table, "case", lambda case: _case(case, body, gravity))
     cases = tuple(replace(case, name=case.name or f"case {i}") for i, case in enumerate(read, 1))
     free = _entries(table, "free")
-    body, bounds, choices = _free(body, cases[0], free)
+    measured, (body, bounds, choices) = body, _free(body, cases[0], free)
     read_as: tuple[str, ...] = (in_one_line(columns),) if columns else ()
     if gravity is not None:
         read_as += (f"{gravity_in_words(gravity)}, of the robot file, in every case without a gravity of its own",)
     if "uncertain" in table:
-        cases, notes = _uncertain(cases, body, _entries(table, "uncertain"), path.parent, gravity)
+        cases, notes = _uncertain(cases, measured, _entries(table, "uncertain"), path.parent, gravity)
         read_as += notes
     arguments = {
         "manipulator": body,

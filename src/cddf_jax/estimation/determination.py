@@ -83,7 +83,7 @@ def determine(evidence: Evidence) -> Determination:
 
     status = _statuses(evidence, error, low, high)
     lost = np.array([word == NOT_IDENTIFIED for word in status])
-    additive = ~np.isfinite(lower) & (evidence.space.least_size > 0)  # errors and turns, which may be 0
+    additive = _may_be_zero(evidence) & (evidence.space.least_size > 0)  # errors and turns
     open_ended = lost | np.array([word == AT_BOUND for word in status])
     limit = np.minimum(high, upper)
     low, high = np.where(open_ended, lower, low), np.where(open_ended, upper, high)
@@ -119,7 +119,7 @@ def _statuses(evidence: Evidence, error: np.ndarray, low: np.ndarray, high: np.n
     seldom called identified.
     """
     space = evidence.space
-    may_be_zero = ~np.isfinite(space.lower)
+    may_be_zero = _may_be_zero(evidence)
     largest = error if evidence.ends is None else error * evidence.ends.max(axis=1)
     known = largest < LARGEST_RELATIVE_ERROR * np.where(may_be_zero, space.scale, evidence.size)
     known |= may_be_zero & (largest < OF_ITSELF * evidence.size)
@@ -136,6 +136,10 @@ def _statuses(evidence: Evidence, error: np.ndarray, low: np.ndarray, high: np.n
     identified[list(evidence.open_profile)] = False
     words = [AT_BOUND, PRIOR_ONLY, IDENTIFIED]
     return np.select([evidence.at_bound, prior_only, identified], words, NOT_IDENTIFIED).tolist()
+
+
+def _may_be_zero(evidence: Evidence) -> np.ndarray:
+    return np.asarray((evidence.space.lower < 0) & (evidence.space.upper > 0))
 
 
 def _combinations(evidence: Evidence, lost: np.ndarray) -> dict[str, Estimate]:

@@ -193,7 +193,8 @@ def _step_in_words(states: dict[str, np.ndarray], i: int, length: float, *, exac
     before, parts = np.ravel(states["base_tension"][i - 1]) if i > 0 else np.zeros_like(now), []
     for k, tension in enumerate(now):
         name = f"tendon {k + 1} " if now.size > 1 else ""
-        how = "stays at" if tension == before[k] else "pulled to" if tension > before[k] else "released to"
+        rises = direction[k] > 0 if exact else tension > before[k]
+        how = "stays at" if tension == before[k] else "pulled to" if rises else "released to"
         parts.append(f"{name}{how} {shown(tension, 'force')}")
         if exact and tension == before[k]:
             continue

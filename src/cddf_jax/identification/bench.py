@@ -146,7 +146,8 @@ class Bench(eqx.Module):
     # the rows in which a column was read; a column that is not listed here was read in all rows
     course: Course | None = None  # the paths of rows with a history; None where each row slides as its direction says
     setting: AllRows = eqx.field(default_factory=AllRows)
-    tendons: Int[np.ndarray | Array, " tendons"] | None = None  # those that are set, from 0; the others hang slack
+    # those that are set, from 0; the others hang slack. A tuple is static, for tendons that are not alike
+    tendons: Int[np.ndarray | Array, " tendons"] | tuple[int, ...] | None = None
 
     @property
     def on_one_curve(self) -> bool:
@@ -155,7 +156,7 @@ class Bench(eqx.Module):
         if not free or self.actuation.shape[1] > 1:
             return False
         if self.course is not None:
-            return not self.course.turns and not any(self.course.by_length)
+            return not (self.course.turns or any(self.course.by_length) or self.course.short_steps)
         return not any(np.any(np.asarray(stated) < 0) for stated in self.direction if stated is not None)
 
     @property
@@ -194,7 +195,8 @@ class Bench(eqx.Module):
         """What instruments without errors show of the rows, each in equilibrium."""
         parameters = {**self.setting.given, **parameters}
         body, components = with_parameters(manipulator, parameters), self.components(manipulator)
-        set_ones = slice(None) if self.tendons is None else jnp.asarray(self.tendons)
+        own_tendons = None if self.tendons is None else jnp.asarray(self.tendons)
+        set_ones = slice(None) if own_tendons is None else own_tendons
 
         def of_set_ones(name: str) -> Array:
             return of_all_tendons(parameters, name, manipulator.num_tendons)[set_ones]
@@ -211,9 +213,13 @@ class Bench(eqx.Module):
             of_trial = None if deviation is None else deviation[self.course.first_row]
             loads_with = partial(self.setting.loads_with, parameters=parameters, components=components)
             body = in_space(body) if components == 3 else body
-            own = body if self.tendons is None else body.with_tendons(jnp.asarray(self.tendons))
+            own = (
+                body
+                if self.tendons is None
+                else body.with_tendons(self.tendons if isinstance(self.tendons, tuple) else jnp.asarray(self.tendons))
+            )
             found = course.trace(own, tension, loads_with, self.setting.markers_on, of_trial, nodes)
-            return found if self.tendons is None else _with_slack_ones(found, self.tendons, body.num_tendons)
+            return found if own_tendons is None else _with_slack_ones(found, own_tendons, body.num_tendons)
         tension = _true_tension(parameters, jnp.asarray(self.actuation), of_set_ones)
 
         def one(tension, direction, forces, deviation):
@@ -462,7 +468,8 @@ def experiment_of(
         force_at, forces = forces_of(table.columns, len(table))
         check_on_body(force_at, float(np.asarray(manipulator.length)))
         forced = bool(np.any(forces))
-        tendons = np.array([tendon_number(column) - 1 for column in set_by(table.columns)])
+        tendons = tuple(tendon_number(column) - 1 for column in set_by(table.columns))
+        alike = manipulator.has_tendons_alike
         bench = Bench(
             table.actuation,
             tuple(map(table.columns.get, of_tendons("direction", manipulator.num_tendons))),
@@ -473,7 +480,7 @@ def experiment_of(
             {column: np.flatnonzero(table.has(column)) for column in columns if not np.all(table.has(column))},
             course,
             AllRows.of(setting, found, force_at.values() if forced else ()),
-            tendons if tendons.size < manipulator.num_tendons else None,
+            None if len(tendons) == manipulator.num_tendons else np.array(tendons) if alike else tendons,
         )
         _check_body(table, bench, manipulator, zero_is_free="angle_zero" in free)
     return bench

@@ -130,7 +130,7 @@ def plan(
         if known.trial_effects:
             raise InputError("plan: needs a fit whose friction is the same in every trial; fit without per_trial")
         body, parameters, nodes = known.model.manipulator, known.parameters, known.model.nodes
-        evidence, setting = known.widened, known.setting
+        evidence, setting = known.widened, known.whole_setting
     else:
         body, parameters = (
             known,

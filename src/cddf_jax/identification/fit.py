@@ -34,6 +34,7 @@ from .parameters import (
     TRIALS,
     BenchSetting,
     camera_parameters,
+    check_tendons,
     free_parameters,
     parameter_named,
     starting_value,
@@ -176,15 +177,20 @@ class Fit(LeastSquaresFit):
         pulls = {"base_tension": base_tension, "displacement": displacement}
         forces = {ON_TIP: tip_force} | {f"{float(place)!r}m": force for place, force in (force_at or {}).items()}
         table = rows_to_predict(pulls, forces, self.manipulator.num_tendons, more)
-        known = {name: place for own in self.tables for name, place in own.markers.items()}
-        setting = replace(self.setting, markers={**known, **self.setting.markers})
-        wanted = unread_rows(table, self.manipulator, setting, self.names, history, self.options["short_steps"])
+        given = self.manipulator, self.whole_setting, self.names, history, self.options["short_steps"]
+        wanted = unread_rows(table, *given)
         assert isinstance(wanted, bench.Bench)
         shown = wanted.evaluate(self.model.manipulator, self.parameters, self.model.nodes)
         if column not in shown.readings:
             raise InputError(f"predict: {column!r} is not a reading; there are {', '.join(shown.readings)}")
         band = self.band(shown.derivatives[column])
         return Prediction(shown.readings[column], band, beyond_the_data(wanted, self.model))
+
+    @property
+    def whole_setting(self) -> BenchSetting:
+        """What all rows share, with the markers of the tables."""
+        known = {name: place for own in self.tables for name, place in own.markers.items()}
+        return replace(self.setting, markers={**known, **self.setting.markers})
 
     @property
     def contradicted(self) -> LeftOut:
@@ -316,6 +322,7 @@ def fit(
         unordered = history is None and not any(table.ordered for table in tables)
         given["history"] = False if unordered else history  # the rows are to be left out, and not followed
         return _without_contradicted(partial(fit, manipulator, tables, free, **given))
+    whole = tables
     with within("fit"):
         tables, left_out = without(tables, leave_out)
     if history not in (None, True, False, EACH):
@@ -326,6 +333,7 @@ def fit(
     check_whole("fit: short_steps", short_steps, 2)
     if not tables or not free:
         raise InputError("fit: needs a table of measurements and a free parameter")
+    check_tendons([*free, *setting.given], manipulator.num_tendons)
     options = given | {"free": list(free), "setting": setting, "leave_out": left_out}
     kinds = {name: parameter_named(name) for name in free}
     earlier = np.cumsum([0, *(len(trials_of(table)) for table in tables)])
@@ -346,8 +354,8 @@ def fit(
     start = {name: starting_value(manipulator, name, setting.given) for name in free}
     start |= {name: guess for name, (guess, _) in guesses.items()}
     own_bounds = {name: POSITIVE for name, kind in kinds.items() if kind.positive}
-    bounds = own_bounds | {name: (low, None) for name, (_, low) in guesses.items()} | dict(bounds or {})
-    sigma = noise_of(groups, noise)
+    bounds = _with_bounds(own_bounds | {name: (low, None) for name, (_, low) in guesses.items()}, bounds or {})
+    sigma = noise_of(groups, noise, dict(zip(model.names, whole, strict=True)))
     with within("fit"):
         check_reach(model, groups, free, setting.given)
     pose = camera_parameters(manipulator)
@@ -370,6 +378,12 @@ def fit(
         raise InputError(f"fit: per_trial {remedy}")
     statistics, spread = fit_trials(search, int(earlier[-1]), start, priors or {}, scales, starts)
     return _conclude(statistics, tables, model, setting, without_jitter, spread, options)
+
+
+def _with_bounds(own: Bounds, given: Bounds) -> Bounds:
+    """The bounds of parameters by nature, and given ones; where no lower one is given, that by nature stays."""
+    stated = {name: (own.get(name, (None,))[0] if low is None else low, high) for name, (low, high) in given.items()}
+    return {**own, **stated}
 
 
 def _without_contradicted(once: Callable[..., Fit]) -> Fit:

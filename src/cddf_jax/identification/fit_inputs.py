@@ -7,6 +7,7 @@ from jaxtyping import ArrayLike
 
 from ..errors import InputError
 from ..estimation.observations import Noise
+from ..measurements.columns import is_reading
 from ..measurements.jitter import Steady
 from ..measurements.readings import SET, kind_of_set
 from ..measurements.table import Measurements
@@ -15,7 +16,7 @@ from ..quantities import dimension_of
 from ..robot.manipulator import Manipulator
 from ..units import si_unit
 from .bench import Bench, Group, Pulley, experiment_of
-from .course import SHORT_STEPS, Course, course_of, how_followed, paths_of
+from .course import EACH, SHORT_STEPS, Course, course_of, how_followed, paths_of
 from .parameters import MOTORS, BenchSetting, along_a_path, trial_of
 from .tension_before import Before, first_guesses, pasts_of
 
@@ -41,7 +42,9 @@ def courses_of(
             what = f"{table.name}: {', '.join(along)} act along a history, and the rows have none"
             raise InputError(what, remedy="add a column step or time, or give history=True (--history)")
     how = how_followed(manipulator, names, setting.loads)
-    ends = np.cumsum([0, *(len(table.trial_labels) or 1 for table in tables)])  # a table without trials is one
+    # a table without trials is one, and a pulley test none
+    counted = [0 if "pulling_tension" in table else len(table.trial_labels) or 1 for table in tables]
+    ends = np.cumsum([0, *counted])
     for name in names:
         if (trial := trial_of(name)) is not None and trial > ends[-1]:
             what = f"{name} belongs to trial {trial}, but the tables have {ends[-1]}"
@@ -70,14 +73,16 @@ def unread_rows(
     body: Manipulator,
     setting: BenchSetting,
     parameters: Sequence[str],
-    history: bool | None = None,
+    history: bool | str | None = None,
     short_steps: int = SHORT_STEPS,
 ) -> Pulley | Bench:
     """The rows of a table whose readings are not known yet; what was set is exact. Arguments as in `fit`.
 
-    `parameters`: those that are fitted.
+    `parameters`: those that are fitted. Where friction acts along a history only, rows without an order are each
+    pulled from rest.
     """
-    course, paths = None, paths_of(table, history)
+    acting = along_a_path(body, (*parameters, *setting.given))
+    course, paths = None, paths_of(table, EACH if acting and not (history or table.ordered) else history)
     if paths:
         how = how_followed(body, (*parameters, *setting.given), setting.loads)
         course, _ = course_of(table, dict.fromkeys(SET, 0.0), short_steps=short_steps, paths=paths, **how)
@@ -97,8 +102,9 @@ def split_noise(
         if isinstance(given, Noise) or np.ndim(given) or not np.asarray(given) >= 0:
             unit = si_unit(dimension_of(kind_of_set(column)))
             raise InputError(f"noise of {column} must be one standard deviation in {unit}, 0 or more")
-    partly = {own.column for table in tables for own in table.set_columns if np.any(table.has(own.column) & ~own.rows)}
-    predicted = {column: given for column, given in noise.items() if column not in base or column in partly}
+    read = {own.column for table in tables for own in table.set_columns if np.any(table.has(own.column) & ~own.rows)}
+    read |= {column for table in tables for column in table.columns if is_reading(column, table.columns)}
+    predicted = {column: given for column, given in noise.items() if column not in base or column in read}
     return predicted, {column: float(np.asarray(given)) for column, given in base.items()}
 
 
@@ -107,8 +113,15 @@ def trials_of(table: Measurements) -> tuple[str, ...]:
     return () if "pulling_tension" in table else table.trial_labels
 
 
-def noise_of(groups: Sequence[Group], noise: Mapping[str, ArrayLike | Noise]) -> dict[str, ArrayLike | Noise | None]:
+def noise_of(
+    groups: Sequence[Group], noise: Mapping[str, ArrayLike | Noise], whole: Mapping[str, Measurements]
+) -> dict[str, ArrayLike | Noise | None]:
     """By group, the given noise of its column, or None.
+
+    Args:
+        groups: the data.
+        noise: by column; one number for each reading counts those that were left out too.
+        whole: the tables by the names of the groups, with the readings that were left out.
 
     Raises:
         InputError: for a column that no table holds.
@@ -117,4 +130,10 @@ def noise_of(groups: Sequence[Group], noise: Mapping[str, ArrayLike | Noise]) ->
     for column in set(noise) - columns:
         held = ", ".join(sorted(columns))
         raise InputError(f"fit: noise is given for {column!r}, which no table holds; they hold {held}")
-    return {group.label: noise.get(group.column) for group in groups}
+
+    def kept(group: Group) -> ArrayLike | Noise | None:
+        given, before = noise.get(group.column), whole[group.name].has(group.column)
+        each = given is not None and not isinstance(given, Noise) and np.shape(given) == (np.count_nonzero(before),)
+        return np.asarray(given)[group.there[before]] if each else given
+
+    return {group.label: kept(group) for group in groups}

@@ -86,8 +86,8 @@ def model_free_friction(table: Measurements) -> ModelFreeFriction:
     rows. An error that all rows share - the gain of a cell, the zero of the camera - is not in the standard error. An
     error that the rows of a trial share is included, where `trial` names three trials or more.
 
-    Where rows have a history, as a column `step` or `time` says, only those are used in which the whole tendon slides
-    in: those at the largest base tension so far.
+    Where rows of one tendon have a history, as a column `step` or `time` says, only those are used in which the whole
+    tendon slides in: those at the largest base tension so far.
 
     Args:
         table: with `base_tension`, `tip_tension` and `tip_angle`.
@@ -108,11 +108,12 @@ def model_free_friction(table: Measurements) -> ModelFreeFriction:
         raise InputError(f"{table.name}: several tendons and no column 'direction'; {remedy}")
     base, tip, angle = table["base_tension"], table["tip_tension"], np.abs(table["tip_angle"])
     usable = (base > 0) & (tip > 0) & (angle > SMALLEST_ANGLE)
-    usable = usable & _pulled(table) if table.ordered else usable
+    followed = table.ordered and len(set_by(table.columns)) == 1
+    usable = usable & _pulled(table) if followed else usable
     if not np.any(usable):
         remedy = "measure at tensions that bend the body"
         raise InputError(f"{table.name}: no row has tensions and a tip angle other than 0; {remedy}")
-    direction = table["direction"][usable] if "direction" in table and not table.ordered else 1.0
+    direction = table["direction"][usable] if "direction" in table and not followed else 1.0
     base, tip, angle = base[usable], tip[usable], angle[usable]
     loss, labels = direction * np.log(base / tip), independent_labels(table, usable)
     value = float(np.sum(angle * loss) / np.sum(angle**2))

@@ -5,7 +5,7 @@ a bench are given by its setting.
 """
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple
 
@@ -140,6 +140,18 @@ def free_parameters(manipulator: Manipulator, free: Sequence[str] | str | None) 
     if "outer_radius_error" in names and not manipulator.stiffened_by_radii:
         raise InputError("outer_radius_error changes nothing where bending_stiffness is given; fit stiffness_factor")
     return names
+
+
+def check_tendons(names: Iterable[str], num_tendons: int) -> None:
+    """Refuse parameters of tendons that a body does not have.
+
+    Raises:
+        InputError: names the first one.
+    """
+    for name in names:
+        own = name.partition("_trial_")[0] if _OF_TRIAL.fullmatch(name) else name
+        if own != parameter_named(name).name and not is_past(name) and not 1 <= tendon_number(own) <= num_tendons:
+            raise InputError(f"{name}: there is no such tendon, the body has {num_tendons}; they count from 1")
 
 
 def starting_value(manipulator: Manipulator, name: str, given: Mapping[str, float] | None = None) -> float:

@@ -31,8 +31,13 @@ def numbered(names: Sequence[str]) -> list[str]:
 
 def sources(tables: Sequence[Measurements]) -> list[list[str]]:
     """By table and row, the file that the row is from."""
-    named = zip(numbered([table.name for table in tables]), tables, strict=True)
-    return [[table.file_of(i) or name for i in range(len(table))] for name, table in named]
+    own = [table.files or (table.name,) for table in tables]
+    names = iter(numbered([file for files in own for file in files]))
+    named = [dict(zip(files, names, strict=False)) for files in own]
+    return [
+        [every[table.file_of(i) or table.name] for i in range(len(table))]
+        for every, table in zip(named, tables, strict=True)
+    ]
 
 
 def named_rows(tables: Sequence[Measurements], which: Sequence[np.ndarray]) -> LeftOut:
@@ -95,7 +100,10 @@ def _numbers(rows: Rows) -> list[int]:
     for part in filter(None, re.split(r"[,;\s]+", re.sub(r"\s*-\s*", "-", rows))):
         if not (run := re.fullmatch(r"(\d+)(?:-(\d+))?", part)):
             raise InputError(f"leave_out {rows!r}: {part!r} is not a row; write {FORM}, or {CONTRADICTED!r} alone")
-        found += range(int(run[1]), int(run[2] or run[1]) + 1)
+        first, last = int(run[1]), int(run[2] or run[1])
+        if last < first:
+            raise InputError(f"leave_out {rows!r}: {part} ends before it begins; write {last}-{first}")
+        found += range(first, last + 1)
     return found
 
 

@@ -89,6 +89,7 @@ def _joined(tables: Sequence[Measurements]) -> Measurements:
         simulated=any(table.simulated for table in tables),
         read_as=tuple(said),
         files=tuple(names),
+        left_out=sum(table.left_out for table in tables),
         unread=tuple(column for column in tables[0].unread if column not in columns),
         markers=tables[0].markers,
     )

@@ -84,6 +84,8 @@ def traced(
 def _with_points_between(path: np.ndarray, start: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """The path from the start with `count` points or more, and the indices of its own steps."""
     ends = path if np.array_equal(path[0], start) else np.vstack([start, path])
+    if len(ends) == 1:  # it stands still
+        return ends, np.array([0])
     legs = np.array_split(np.arange(max(count, len(ends)) - 1), len(ends) - 1)
     between = [np.linspace(ends[i], ends[i + 1], len(leg) + 1)[1:] for i, leg in enumerate(legs)]
     return np.concatenate([ends[:1], *between]), np.cumsum([0, *map(len, legs)])[-len(path) :]

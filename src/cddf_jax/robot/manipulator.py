@@ -326,17 +326,24 @@ class Manipulator(eqx.Module):
         """Whether there is friction besides that of tendons on the body, so that only `trace` follows it; static."""
         return self.friction_moment is not None or self.rubs_outside
 
-    def with_tendons(self, which: Int[Array, " which"]) -> "Manipulator":
-        """The same body with some of its tendons only; `which` counts from 0 and may be traced.
+    @property
+    def has_tendons_alike(self) -> bool:
+        """Whether all tendons state the same numbers, on one side, and profiles of one kind; static."""
+        return len({jax.tree.structure(tendon) for tendon in self._ended_tendons}) == 1
 
-        Raises:
-            InputError: where the tendons do not state the same numbers, and profiles of one kind.
-        """
+    @property
+    def _ended_tendons(self) -> "list[Tendon]":
         ends = [tendon.end is not None for tendon in self.tendons]
-        own = [replace(t, end=self.length) if any(ends) and t.end is None else t for t in self.tendons]
-        if any(jax.tree.structure(tendon) != jax.tree.structure(own[0]) for tendon in own):
-            what = "tendons that are pulled in tables of their own must all state the same numbers"
-            raise InputError(what, remedy="give each the same entries, with profiles of the same kind")
+        return [replace(t, end=self.length) if any(ends) and t.end is None else t for t in self.tendons]
+
+    def with_tendons(self, which: Int[np.ndarray | Array, " which"] | tuple[int, ...]) -> "Manipulator":
+        """The same body with some of its tendons only; `which` counts from 0.
+
+        It may be traced where the tendons are alike; a tuple is static.
+        """
+        if isinstance(which, tuple):
+            return replace(self, tendons=tuple(self.tendons[i] for i in which))
+        own, which = self._ended_tendons, jnp.asarray(which)
         every = jax.tree.map(lambda *x: jnp.stack([jnp.asarray(one) for one in x]), *own)
         return replace(self, tendons=tuple(jax.tree.map(lambda x, i=i: x[which[i]], every) for i in range(len(which))))
 
