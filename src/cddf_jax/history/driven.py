@@ -129,12 +129,18 @@ def _gain(
         turned = jnp.where(from_rest, own.added.heading, turned_on(own.added.heading, rest))
         turned = jnp.where(own.added.solved & other.added.solved, turned, heading)
         return Gained(tilt_of(turned) - tilt_of(heading), turned)
-    values = own.added.heading, other.added.heading
+    side = side_of(body, quantity)
+    values = side * own.added.heading, side * other.added.heading
     outside = 0.0
     if quantity == "displacement":
         values = own.added.pulled_in, other.added.pulled_in
         outside = (tension - turned_at) * jnp.sum(body.tendon_outside_compliance)
     return Gained(outside + values[0] - jnp.where(from_rest, 0.0, values[1]), None)
+
+
+def side_of(body: Manipulator, quantity: str) -> int:
+    """The sign with which a quantity grows while the tendon is pulled: -1 for the tip angle of one with side = -1."""
+    return body.tendons[0].side if quantity == "tip_angle" and not body.in_space else 1
 
 
 def _heading_at_rest(body: Manipulator, nodes: int, like: Array) -> Heading:

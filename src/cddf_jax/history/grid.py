@@ -165,7 +165,7 @@ def cut_into_elements(
     numbers = jnp.arange(count + 1)
     fractions = (numbers - merged * (numbers % 2)) / count
     starts, lengths = ends[:-1, None], jnp.diff(ends)[:, None]
-    places = starts + lengths * fractions
+    places = jnp.where(fractions == 1, ends[1:, None], starts + lengths * fractions)  # exactly, for loads there
     inside = starts + lengths * jnp.clip(fractions, 1e-9, 1 - 1e-9)  # a joint has a cross-section on either side
     widths = jnp.diff(places, axis=1)
     none = jnp.zeros_like(starts)

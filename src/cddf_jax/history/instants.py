@@ -239,7 +239,8 @@ def fronts_of(grid: Grid, share: Float[Array, "steps K tendons"], slid: Array) -
     """The arc length, m, up to which each tendon slides in one direction from the base."""
     along, widths = share * base_direction(share, slid)[:, None], grid.widths[:, None]
     moved_freely = (share == 0) & (slid != 0)  # without tension there is no friction
-    whole = jnp.cumprod((along > 1 - AT_LIMIT) | moved_freely | (widths == 0), axis=1)
+    passed = moved_freely | (widths == 0) | ~where_present(grid.sections, jnp.ones_like(share[0], bool), False)
+    whole = jnp.cumprod((along > 1 - AT_LIMIT) | passed, axis=1)
     first = jnp.sum(whole, axis=1, keepdims=True).astype(int)
     last = jnp.minimum(first, share.shape[1] - 1)
     part = jnp.clip((1 + jnp.take_along_axis(along, last, axis=1)[:, 0]) / 2, 0.0, 1.0) * grid.widths[last[:, 0]]

@@ -35,7 +35,7 @@ from .congruent_parts import (
     turned_back,
     turned_on,
 )
-from .driven import Drive, driven
+from .driven import Drive, driven, side_of
 from .energies import work_and_loss
 from .fronts import Motion, cut_at, moving_front
 from .history import Energies, History, States
@@ -120,8 +120,7 @@ def congruent_history(
     usable = jnp.isfinite(wanted)
     added = tip.added
     good = added.solved & usable
-    if drive is not None and quantity == "tip_angle" and body.in_space:
-        # what the tensions miss is unreachable, and no tendon is slack
+    if drive is not None and quantity == "tip_angle":  # what the tensions miss is unreachable, and no tendon is slack
         missed = jax.vmap(tilt_of)(added.heading) - wanted
         far = jnp.abs(missed) > jnp.finfo(missed.dtype).eps ** 0.5
         drive = drive._replace(slack=drive.slack & False, unreachable=drive.unreachable | drive.slack | far)
@@ -179,15 +178,16 @@ def _path(
     if quantity == "base_tension":
         path = jnp.concatenate([known, wanted])
         return path, open_turns(path, max_turns)[1], None
+    side = side_of(body, quantity)  # the angle grows with the tension on one side of the axis
     stack, turns = open_turns(known, max_turns)
     tensions, values = jnp.zeros_like(stack.value), jnp.zeros_like(stack.value)
     headings = jax.vmap(lambda zero: pose_of_base(body, zero)[0])(values)
     if known.size > 0:
         added = follow(body, nodes, known, turns)[1].added
         outside = known * jnp.sum(body.tendon_outside_compliance)
-        reached = jax.vmap(tilt_of)(added.heading) if quantity == "tip_angle" else added.pulled_in + outside
+        reached = side * jax.vmap(tilt_of)(added.heading) if quantity == "tip_angle" else added.pulled_in + outside
         tensions, values, headings = known[stack.step], reached[stack.step], added.heading[stack.step]
-    drive, more = driven(body, nodes, quantity, wanted, stack, tensions, values, headings, known.size)
+    drive, more = driven(body, nodes, quantity, side * wanted, stack, tensions, values, headings, known.size)
     path = jnp.concatenate([known, drive.tension])
     if quantity == "tip_angle" and body.in_space:  # it need not turn where the tension turns
         return path, open_turns(path, max_turns)[1], drive

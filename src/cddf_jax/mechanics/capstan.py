@@ -32,7 +32,8 @@ def closed_form_tension(
         nodes: Gauss nodes for G in each smooth piece of the body. Whether they are enough is not checked.
 
     Raises:
-        ValueError: for a negative tension, more tendons than one, drag, or in the exact kinematics a varying offset.
+        ValueError: for a negative tension, more tendons than one, drag, a curvature at rest, a varying angle, or in the
+            exact kinematics a varying offset.
     """
     if manipulator.num_tendons != 1:
         raise ValueError(f"closed_form_tension holds for one tendon, not for {manipulator.num_tendons}; use solve")
@@ -43,6 +44,10 @@ def closed_form_tension(
         raise ValueError(
             "closed_form_tension holds in the exact kinematics for a Constant tendon offset only, "
             f"not for {type(tendon.offset).__name__}; use solve, or kinematics='published'"
+        )
+    if manipulator.rest_curvature is not None or (tendon.angle is not None and not _surely_constant(tendon.angle)):
+        raise ValueError(
+            "closed_form_tension holds for a tendon parallel to the axis of a body that is straight at rest; use solve"
         )
     for name, given in {"base_tension": base_tension, "arc_length": arc_length}.items():
         check_numbers(f"closed_form_tension: {name}", given)

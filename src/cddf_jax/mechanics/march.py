@@ -231,6 +231,7 @@ def turn_at_joint(problem: Problem, joint: Joints, arriving: State, beyond: Stat
 
     def step(guess: tuple[PerTendon, PerTendon]) -> tuple[PerTendon, PerTendon]:
         turn = where_present(joint.after, geometry.turn_between(before, pointing(joint.after, beyond, guess[1])))
+        turn = jnp.where(joint.turns, turn, 0.0)
         return turn, ratio_beyond(problem.direction, joint.before, turn, ratio)
 
     return newton(step, (jnp.zeros_like(ratio), ratio + zero_as(before)), tol.JOINT_STEPS)

@@ -33,6 +33,7 @@ class Joints(NamedTuple):
 
     before: AnySection
     after: AnySection
+    turns: Bool[Array, " P"]  # of several joints at one place the last one, which an element with a length follows
 
 
 class Outboard(NamedTuple):
@@ -207,7 +208,7 @@ def lay_out(
         cut,
         points=along,
         nodes=jax.tree.map(lambda x: x[1:-1].reshape(*cut.nodes.shape, *x.shape[1:]), along),
-        joints=Joints(section(jnp.maximum(starts - nudge, 0.0)), section(inside)) if turns else None,
+        joints=Joints(section(jnp.maximum(starts - nudge, 0.0)), section(inside), cut.width > nudge) if turns else None,
         loads=loads,
         outboard=_outboard(manipulator, cut, loads),
         base_moment=jnp.asarray(geometry.no_moment, cut.edges.dtype),

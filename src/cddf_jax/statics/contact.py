@@ -13,6 +13,7 @@ from ..mechanics.problem import State
 from .equilibrium import Dense, Equilibrium
 
 STATIONS = 401
+BESIDE = 1e-5  # of the length, from a joint to the station beyond it, so that positions differ in single precision too
 # if headings differ by less, cross-sections pi R apart along the axis are pi R cos(pi/4) > 2 R apart in space
 TURNS = np.pi / 2
 PROJECTIONS, NEAR = 60, 1e-4  # of points on two cylinders; distance over the sum of radii that counts as touching
@@ -76,7 +77,7 @@ def _centre_line(dense: Dense, arc_length: ArrayLike) -> State:
 
 def _stations(length: float, joints: np.ndarray) -> np.ndarray:
     joints = joints[(joints > 0) & (joints < length)]
-    return np.unique(np.concatenate([np.linspace(0.0, length, STATIONS), joints, joints + 1e-9 * length]))
+    return np.unique(np.concatenate([np.linspace(0.0, length, STATIONS), joints, joints + BESIDE * length]))
 
 
 def _far_pairs(s: np.ndarray, position: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -6,6 +6,8 @@ from functools import partial
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 from jax.tree_util import Partial
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
@@ -31,7 +33,7 @@ from ..numerics.fixed_point import FixedPointResult, fixed_point, without_deriva
 from ..numerics.given_numbers import check_whole
 from ..robot.cross_section import planar, where_present
 from ..robot.manipulator import Manipulator
-from .arguments import one_precision, per_tendon
+from .arguments import check_method, one_precision, per_tendon
 from .solve import solve
 
 
@@ -171,10 +173,13 @@ def iteration_history(
         max_updates: how many updates are made, also after e_tip has fallen below the threshold.
     """
     check_whole("nodes", nodes, 4)
+    check_method(LiteralIteration(), in_space=manipulator.in_space, loaded=False)
     _refuse_drag(manipulator)
     given = per_tendon(manipulator, base_tension, direction)
     if not_stated(given[1]):
         given = given[0], solve(manipulator, given[0], direction=given[1], nodes=nodes).direction
+    if not isinstance(given[0], Tracer) and np.any(np.asarray(given[0]) < 0):
+        raise ValueError(f"iteration_history: a tendon cannot push, got base_tension {base_tension}")
     manipulator, tension, direction, _ = one_precision(manipulator, *given)
     problem = lay_out(manipulator, tension, direction, nodes)
     start = frictionless_curvature(problem)
