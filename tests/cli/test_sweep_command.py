@@ -133,7 +133,7 @@ def test_two_tendons_in_a_table(tmp_path):
     answer = work.layout.empty.copy(deep=True)
     answer["tip_tension"][...] = np.arange(8.0).reshape(2, 2, 2)
     answer["result"][...] = [[0, 0], [3, 0]]
-    sweep_exports.write_csv(work.layout, answer, tmp_path / "two.csv")
+    sweep_exports.write_csv(answer, tmp_path / "two.csv")
     rows = rows_of(tmp_path / "two.csv")
     assert list(rows[0]) == ["base_tension_1 [N]", "nodes", "tip_tension_1 [N]", "tip_tension_2 [N]", "result"]
     assert [tuple(row.values()) for row in rows] == [
@@ -259,15 +259,6 @@ def test_a_sweep_over_axes_that_are_one(run):
     np.testing.assert_allclose(found, [tip_tension(50.0, 0.1 * 1.4), tip_tension(50.0, 0.5 * 0.7)], rtol=1e-9)  # mu / E
 
 
-def test_samples_are_those_of_the_library():
-    sample = ["youngs_modulus=1.2MPa:1.6MPa", "friction_coefficient=0.1:0.6"]
-    *_, axis = read("base_tension=5N,10N", sample=sample, samples=50).dimensions
-    expected = cddf.latin_hypercube({"youngs_modulus": (1.2e6, 1.6e6), "friction_coefficient": (0.1, 0.6)}, 50)
-    assert axis.name == "sample"
-    for name, values in expected.items():
-        np.testing.assert_array_equal(axis.numbers[name], values)
-
-
 # --- errors --------------------------------------------------------------------------------------
 
 
@@ -375,7 +366,6 @@ def test_tips_in_space_are_a_cloud(run, tmp_path):
     pulls = [word for i in (1, 2, 3) for word in ("--over", f"base_tension_{i}=0N,20N")]
     code, out, _ = run("three.toml", *pulls, "--nodes", "6", "--out", "out", "--csv", "tips.csv")
     assert code == 0
-    assert "tip_position.Z" in out
     assert {"sweep_workspace.png", "sweep_workspace.pdf"} <= {path.name for path in (tmp_path / "out").iterdir()}
     with open(tmp_path / "tips.csv", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))

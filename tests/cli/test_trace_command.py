@@ -138,7 +138,7 @@ def test_the_answer_states_the_loads():
     at_rest: Any = SimpleNamespace(status=np.zeros(1, int))
     answer = trace_as_dict(TracedPath(paper_body(), at_rest, [0], {}, cddf.Loads(gravity=(0.0, -9.81))))
     loads: Any = answer["loads"]
-    assert list(loads["gravity"]) == [0.0, -9.81]
+    assert list(loads.gravity) == [0.0, -9.81]
 
 
 def test_tip_angles_under_loads_are_no_tensions(cddf_command, robot, monkeypatch):

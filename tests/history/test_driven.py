@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import PAPER, both_modes, codes, paper_body
+from bodies import PAPER, both_modes, codes, paper_body, paper_with
 
 import cddf_jax as cddf
 
@@ -37,6 +37,18 @@ def test_a_tendon_that_begins_on_the_axis():
     lengths = cddf.Displacement([1e-4, 2e-4])
     alone = [float(cddf.solve(body, cddf.Displacement(x)).base_tension[0]) for x in lengths.value]
     np.testing.assert_allclose(cddf.trace(body, lengths).base_tension, alone, rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_tip_angles_of_a_tendon_on_the_other_side():
+    """The mirror image; an angle to the other side would take a push."""
+    path = np.array([0.5, 0.3, 0.6, -0.1])
+    bodies = [paper_with(cddf.Tendon(0.010, side=side)) for side in (1, -1)]
+    one, other = (
+        cddf.trace(body, cddf.TipAngle(sign * path), throw=False) for sign, body in zip((1, -1), bodies, strict=True)
+    )
+    np.testing.assert_allclose(other.base_tension, one.base_tension, rtol=1e-12)
+    assert codes(other.status) == codes(one.status) == [0, 0, 0, cddf.Status.unreachable]
 
 
 @pytest.mark.slow

@@ -5,13 +5,15 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from bodies import paper_body
+from bodies import paper_body, paper_with
 from kinds import bench_of
+from refusals import refused
 from scipy import stats
 from test_fit import LEVELS, MU, E, closed_form, wrap
 
 import cddf_jax as cddf
-from cddf_jax.identification.bench import Bench, BenchModel
+from cddf_jax.identification.bench import Bench, BenchModel, groups_of
+from cddf_jax.identification.fit_inputs import courses_of, noise_of, split_noise, unread_rows
 from cddf_jax.identification.parameters import (
     OF_SPACE,
     OF_STRETCH,
@@ -23,6 +25,7 @@ from cddf_jax.identification.parameters import (
 )
 from cddf_jax.identification.predictions import beyond_the_data
 from cddf_jax.identification.tension_before import is_past
+from cddf_jax.measurements.left_out import without
 from cddf_jax.measurements.table import Measurements
 
 BASE = np.tile(LEVELS, 6)
@@ -197,6 +200,8 @@ def test_which_rows_lie_on_one_curve(paper):
         "slides out": (paper, {"direction": [1.0, -1.0]}),
         "two tendons": (paper_body("exact", num_tendons=2), {"base_tension_2": [0.0, 0.0]}),
     }
+    rubbing = paper_with(cddf.Tendon(0.010, outside_friction=0.3))  # which acts along a history only
+    assert not unread_rows(Measurements.from_columns("bench", **columns), rubbing, cddf.BenchSetting(), ()).on_one_curve
     assert bench_of(Measurements.from_columns("bench", **columns), paper).on_one_curve
     for body, extra in others.values():
         assert not bench_of(Measurements.from_columns("bench", **columns, **extra), body).on_one_curve
@@ -216,3 +221,46 @@ def test_which_rows_lie_on_one_curve(paper):
 )
 def test_units_of_parameters_and_of_their_products(name, unit):
     assert unit_of(name) == unit
+
+
+def test_noise_follows_its_readings():
+    """A column that sets the tendons of one table and is read in another; a number for each reading, one left out."""
+    lengths = {"displacement": [1e-3, 2e-3, 3e-3]}
+    driven = Measurements.from_columns("driven", **lengths, tip_angle=[0.1, 0.2, 0.3])
+    pulled = Measurements.from_columns("pulled", base_tension=[5.0, 10.0, 15.0], **lengths)
+    predicted, of_base = split_noise({"displacement": 1e-4}, [driven, pulled])
+    assert predicted == of_base == {"displacement": 1e-4}
+    (left,), _ = without([pulled], [2])
+    (group,) = groups_of([left], BenchModel(paper_body("exact"), (bench_of(left, paper_body("exact")),), 16))
+    found = noise_of([group], {"displacement": [1e-4, 2e-4, 3e-4]}, {"pulled": pulled})
+    np.testing.assert_array_equal(found["pulled: displacement"], [1e-4, 3e-4])
+
+
+def test_trials_are_counted_without_pulley_tests():
+    """The slack offset of trial 2 belongs to the second trial of the loops, whichever table comes first."""
+    pulley = Measurements.from_columns("pulley", weight=[1.0], wrap_angle=[1.0], pulling_tension=[1.5])
+    columns = {"displacement": [1e-3, 2e-3, 1e-3, 2e-3], "tip_angle": [0.1, 0.2, 0.1, 0.2], "step": [0, 1, 0, 1]}
+    loops = Measurements.from_columns("loops", **columns, trial=[1, 1, 2, 2])
+    given = True, "rest", ("slack_offset_trial_2",), {"displacement": 0.0}, 4, cddf.BenchSetting()
+    courses, _ = courses_of(paper_body("exact"), [pulley, loops], *given)
+    assert np.asarray(courses[1][0].number).tolist() == [1, 2]
+
+
+@pytest.mark.parametrize("name", ["tip_gain_3", "base_gain_0", "slack_offset_3_trial_1"])
+def test_parameters_of_tendons_that_are_not_there(name):
+    table = Measurements.from_columns("bench", base_tension=[5.0], base_tension_2=[0.0], tip_angle=[0.1])
+    said = refused(cddf.fit, paper_body("exact", num_tendons=2), table, ("friction_coefficient", name))
+    assert said == f"{name}: there is no such tendon, the body has 2; they count from 1"
+
+
+def test_antagonists_may_hang_slack_in_turn():
+    """Tendon 2 alone bends the body of the plane as tendon 1 does, to the other side."""
+    body, lengths = paper_body("exact", num_tendons=2), np.array([2e-3, 4e-3])
+    tables = (
+        Measurements.from_columns("one", **{name: lengths}, tip_angle=[0.2, 0.4])
+        for name in ("displacement", "displacement_2")
+    )
+    rows = [unread_rows(table, body, cddf.BenchSetting(), ()) for table in tables]
+    one, other = (each.solved(body, {}, 16).tip_angle for each in rows)
+    np.testing.assert_allclose(other, -one, rtol=1e-12)
+    assert np.all(one > 0.1)

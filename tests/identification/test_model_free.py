@@ -136,6 +136,17 @@ def test_of_a_loop_the_rows_of_the_pull_count():
     assert np.isfinite(found.estimate).tolist() == [True, True, False, False, False]
 
 
+def test_with_several_tendons_the_stated_direction_counts_in_any_order():
+    """Tendon 1 slides out while the other is pulled: T_tip = T_base exp(mu theta)."""
+    pull = {"base_tension": np.full(4, 10.0), "base_tension_2": np.linspace(30.0, 75.0, 4)}
+    angle = np.linspace(-0.2, -0.8, 4)
+    read = {"tip_tension": 10.0 * np.exp(MU * np.abs(angle)), "tip_angle": angle}
+    stated = {"direction": np.full(4, -1.0), "direction_2": np.ones(4), "step": np.arange(4.0)}
+    found = model_free_friction(Measurements.from_columns("pair", **pull, **read, **stated))
+    assert found.value == pytest.approx(MU, rel=1e-12)
+    assert np.count_nonzero(np.isfinite(found.estimate)) == 4
+
+
 def test_one_row_determines_the_value_but_not_its_noise():
     table = table_of(BASE[:1], ANGLE[:1])
     found = model_free_friction(table)

@@ -258,6 +258,9 @@ def test_a_trial_without_any_reading_of_a_column_is_a_trial(tmp_path):
     np.testing.assert_allclose(np.degrees(table["tip_angle"]), [3, 3, np.nan, np.nan, 4, 4], rtol=1e-12)
     assert (table.unread, "tip_x" in table) == (("tip_x",), False)
     assert "run_2.csv: tip_angle holds no number and is not used" in table.read_as
+    assert table.left_out == 0
+    (joined,) = read_tables([write(tmp_path, f"{text}15, , , \n", f"gap_{k}.csv") for k, text in enumerate(texts)])
+    assert joined.left_out == 3  # rows without a reading, which a history without a column step must know of
     (same,) = read_tables(paths[1::-1])  # the file without readings first
     np.testing.assert_allclose(np.degrees(same["tip_angle"]), [np.nan, np.nan, 3, 3], rtol=1e-12)
 

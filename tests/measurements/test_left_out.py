@@ -1,5 +1,7 @@
 """Rows that a fit leaves out: how they are named, and what is left of a table."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -39,6 +41,12 @@ def test_rows_of_files(tmp_path):
         without(tables, "3")
 
 
+def test_files_of_one_name_are_told_apart():
+    tables = [replace(table(), files=("run_1.csv",), name=name) for name in ("cells", "angles")]
+    _, left_out = without(tables, {"run_1.csv (2)": [3]})
+    assert left_out == {"run_1.csv (2)": [3]}
+
+
 def test_a_column_without_a_reading_is_gone():
     once = table(tip_tension=0.8 * TENSION, tip_angle=np.where(np.arange(8) == 2, 0.1, np.nan))
     (found,), _ = without([once], [3])
@@ -49,6 +57,7 @@ def test_a_column_without_a_reading_is_gone():
     ("rows", "words"),
     [
         ("9", "leave_out: bench has no row 9; rows are counted as in the file"),
+        ("5-3", "leave_out '5-3': 5-3 ends before it begins; write 3-5"),
         ("two", "leave_out 'two': 'two' is not a row; write rows such as"),
         ([1.5], "leave_out: needs the numbers of rows, got"),
         ({"other": [1]}, "leave_out: there is no file 'other'; there are bench"),

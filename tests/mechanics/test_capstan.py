@@ -120,8 +120,10 @@ def test_offsets_and_anchors_that_the_closed_form_takes():
             paper_body("exact", tendon_offset=(0.012, 0.009)),
             "in the exact kinematics for a Constant tendon offset only, not for Linear",
         ),
+        (paper_with(cddf.Tendon(0.010, angle=cddf.Linear(0.0, 6.0, 0.140))), "a tendon parallel to the axis of a body"),
+        (paper_with(cddf.Tendon(0.010), rest_curvature=(0.0, 0.0, 10.0)), "of a body that is straight at rest"),
     ],
-    ids=["two tendons", "slanted"],
+    ids=["two tendons", "slanted", "winding", "bent at rest"],
 )
 def test_refusals_do_not_depend_on_being_traced(body, message):
     for tension in (cddf.closed_form_tension, eqx.filter_jit(cddf.closed_form_tension)):

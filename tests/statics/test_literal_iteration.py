@@ -99,3 +99,7 @@ def test_literal_iteration_refuses_finite_turns():
         cddf.solve(paper_with(kinked), 40.0, method=cddf.LiteralIteration())
     with pytest.raises(ValueError, match=r"LiteralIteration is a method without loads; use FixedPoint\(\) under loads"):
         cddf.solve(paper_body(), 40.0, cddf.Loads(), method=cddf.LiteralIteration())
+    with pytest.raises(ValueError, match="LiteralIteration is a method for the plane"):
+        cddf.iteration_history(paper_with(cddf.Tendon(0.010, angle=0.0)), 40.0)
+    with pytest.raises(ValueError, match="a tendon cannot push"):
+        cddf.iteration_history(paper_body(), -40.0)

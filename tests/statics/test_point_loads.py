@@ -130,3 +130,29 @@ REFUSED = [
 @pytest.mark.parametrize(("make", "message"), REFUSED)
 def test_what_is_refused(make, message):
     assert message in refused(make, error=(TypeError, ValueError))
+
+
+def test_joints_at_one_place_turn_a_tendon_once():
+    """A tendon without tension, a joint where nothing changes and a load of nothing at a knot change nothing."""
+    body = {"length": LENGTH, "outer_radius": OUTER, "youngs_modulus": E, "friction_coefficient": MU}
+    knots = cddf.Piecewise.linear([0.0, 0.1, 0.2], [0.008, 0.005, 0.008])
+    one, other = cddf.Tendon(knots), cddf.Tendon(knots, side=-1)
+    level = cddf.Piecewise.linear([0.0, 0.1, 0.2], [INNER] * 3)
+    alone = cddf.solve(cddf.Manipulator(**body, inner_radius=INNER, tendons=[one]), 5.0).tip_tension[0]
+    found = [
+        cddf.solve(cddf.Manipulator(**body, inner_radius=INNER, tendons=[one, other]), (5.0, 0.0)).tip_tension[0],
+        cddf.solve(cddf.Manipulator(**body, inner_radius=level, tendons=[one]), 5.0).tip_tension[0],
+    ]
+    np.testing.assert_allclose(found, alone, rtol=1e-9)
+    nothing = cddf.Loads(points=[cddf.PointLoad(0.1, (0.0, 0.0))])
+    loaded = cddf.solve(cddf.Manipulator(**body, inner_radius=INNER, tendons=[one]), 5.0, nothing)
+    np.testing.assert_allclose(loaded.tip_tension, alone, rtol=1e-8)
+
+
+def test_a_moment_at_the_tip_is_that_on_the_tip():
+    """Also for a slanted tendon, which turns with the curvature but rubs on nothing beyond its anchor."""
+    tendon = cddf.Tendon(cddf.Linear(0.008, 0.004, LENGTH))
+    body = cddf.Manipulator(LENGTH, OUTER, INNER, youngs_modulus=E, friction_coefficient=MU, tendons=[tendon])
+    at_place = cddf.Loads(points=[cddf.PointLoad(LENGTH, (0.0, 0.0), 0.01)])
+    found = [cddf.solve(body, 5.0, loads).tip_tension[0] for loads in (at_place, cddf.Loads(tip_moment=0.01))]
+    np.testing.assert_allclose(*found, rtol=1e-12)

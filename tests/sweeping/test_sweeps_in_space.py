@@ -45,7 +45,7 @@ def test_every_output_of_three_tendons(tmp_path):
         assert there.shape == np.shape(getattr(found, name))
         # positions and forces that are zero but for rounding, and the number of passes of a batch
         np.testing.assert_allclose(there, getattr(found, name), rtol=1e-9, atol=1e-10)
-    write_csv(work.layout, grid, tmp_path / "grid.csv")
+    write_csv(grid, tmp_path / "grid.csv")
     head = (tmp_path / "grid.csv").read_text(encoding="utf-8").splitlines()[0].split(",")
     assert {"tip_position.Z [m]", "tip_tension_3 [N]", "tip_frame.Z.x", "base_moment.Y [N m]"} <= set(head)
     assert not any(name.startswith(("frame", "curvature")) for name in head)

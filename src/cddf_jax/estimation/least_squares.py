@@ -136,6 +136,7 @@ def least_squares_fit(
     scales: Mapping[str, float] | None = None,
     starts: int | None = None,
     seed: int = 0,
+    prefer_start: bool = False,
     max_steps: int = MAX_STEPS,
     accuracy: float = 0.0,
     inputs: InputErrors = NO_ERRORS,
@@ -159,6 +160,8 @@ def least_squares_fit(
             distance from a bound, or by the size of a parameter without bounds. Such a parameter has the other sign in
             one start of four.
         seed: of the further starts.
+        prefer_start: if the data leave a valley open, end where its first parameter has its start value, and not at the
+            shallow minimum that noise makes somewhere in the valley.
         max_steps: of the optimiser.
         accuracy: in standard errors, for a model whose derivative jumps or that is not good to all digits: a search
             ends where a whole step of Gauss-Newton promises to move the estimates by less.
@@ -193,7 +196,7 @@ def least_squares_fit(
     without = {name: 0 * own for name, own in effects.items()}  # in the shapes of later, so that programs are shared
     shared = Shared.of(without, dict.fromkeys(effects, 0.0), sum(group.values.size for group in groups))
     problem = LeastSquaresProblem(predict, unravel, labels, data, shared, space, max_steps, accuracy)
-    task = FitTask(problem, groups, inputs)
+    task = FitTask(problem, groups, prefer_start, inputs)
     return _conclude(task.groups, jax.tree.structure(observed), search(task, starts, seed))
 
 

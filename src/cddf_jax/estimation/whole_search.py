@@ -49,6 +49,7 @@ class FitTask(NamedTuple):
 
     problem: LeastSquaresProblem  # with the first guess of the noise
     groups: tuple[Observed, ...]  # of the data
+    prefer_start: bool  # to end near the start in a valley that the data leave open
     inputs: InputErrors  # of the model, that were read with errors
 
 
@@ -84,7 +85,7 @@ def search_from(task: FitTask, z: np.ndarray, *, again: bool = True) -> Ending:
     if again and not stopped and lower is not None and least_rise < -NOTEWORTHY_FALL:
         return search_from(task, lower, again=False)
     result = _result(minimum, evidence, least_rise, settled=settled, stopped=stopped)
-    if evidence.open_profile:
+    if task.prefer_start and evidence.open_profile:
         minimum = minimum._replace(outcome=nearest_to_start(minimum, evidence))
         seen = {"open_profile": evidence.open_profile, "bounded_above": evidence.bounded_above, "ends": evidence.ends}
         evidence = replace(_evidence(task, minimum), **seen)

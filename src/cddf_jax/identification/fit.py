@@ -365,7 +365,7 @@ def fit(
     observed, inputs = {group.label: group.observed for group in groups}, errors_of_base(model, tables, of_base)
     search = partial(least_squares_fit, model, observed=observed, sigma=sigma, inputs=inputs, bounds=bounds)
     in_increments = any(course is not None and course[0].short_steps is not None for course in courses)
-    search = partial(search, seed=seed, accuracy=CLOSE if in_increments else 0.0)
+    search = partial(search, seed=seed, prefer_start=True, accuracy=CLOSE if in_increments else 0.0)
     if not per_trial:
         statistics = search(start, priors=priors, scales=scales, starts=starts)
         found = _conclude(statistics, tables, model, setting, without_jitter, float("nan"), options)
