@@ -173,7 +173,7 @@ def test_what_is_set_is_saved(page, tmp_path):
         ("Figure (PDF)", "explorer.pdf", b"%PDF"),
         ("Figure (PNG)", "explorer.png", b"\x89PNG"),
         ("Body as set (TOML)", "body.toml", b'"14.2 mm"'),
-        ("Fields along the body (CSV)", "fields.csv", b"s [m],"),
+        ("Fields along the body (CSV)", "fields.csv", b"arc_length [m],"),
     ):
         with page.expect_download() as download:
             page.get_by_text(label).click()
