@@ -364,7 +364,7 @@ def test_tips_in_space_are_a_cloud(run, tmp_path):
     body = cddf.Manipulator(LENGTH, 0.015, 0.007, three, youngs_modulus=1.4e6, friction_coefficient=0.42)
     cddf.write_manipulator(body, tmp_path / "three.toml")
     pulls = [word for i in (1, 2, 3) for word in ("--over", f"base_tension_{i}=0N,20N")]
-    code, out, _ = run("three.toml", *pulls, "--nodes", "6", "--out", "out", "--csv", "tips.csv")
+    code, _, _ = run("three.toml", *pulls, "--nodes", "6", "--out", "out", "--csv", "tips.csv")
     assert code == 0
     assert {"sweep_workspace.png", "sweep_workspace.pdf"} <= {path.name for path in (tmp_path / "out").iterdir()}
     with open(tmp_path / "tips.csv", encoding="utf-8") as file:

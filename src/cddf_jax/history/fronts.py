@@ -13,7 +13,7 @@ from ..mechanics.friction import Pull, tension_rate
 from ..mechanics.march import FixedPoint
 from ..mechanics.problem import guarded_section, lay_out
 from ..numerics.arrays import zero_as
-from ..numerics.elements import Elements, legendre_polynomials, times
+from ..numerics.elements import Elements
 from ..numerics.fixed_point import newton
 from ..robot.cross_section import planar, spatial
 from ..robot.manipulator import Manipulator
@@ -141,10 +141,10 @@ def _zero_before(cut: Elements, values: Float[Array, " q"], point: UInt[Array, "
         values: at the start, the nodes and the end of the element.
         point: the start of the element, which is itself the zero, a node, or the end, counted from 0.
     """
-    points, coefficients = jnp.asarray(cut.rule.points, cut.edges.dtype), times(cut.rule.series, values[1:-1])
+    points = jnp.asarray(cut.rule.points, cut.edges.dtype)
 
     def value(place: Number) -> Number:
-        return legendre_polynomials(place, cut.order) @ coefficients
+        return cut.lagrange(place) @ values[1:-1]
 
     def narrow(state: tuple[Array, Array]) -> tuple[Array, Array]:
         (a, b), (fa, fb) = state

@@ -41,6 +41,7 @@ class Rule(NamedTuple):
     series: np.ndarray  # (p, p) values at the nodes -> Legendre coefficients
     interpolation: np.ndarray  # (p + 2, p + 2) likewise of the values at 0, the nodes and 1
     ends: np.ndarray  # (2, p) values at the nodes -> their polynomial at 0 and at 1
+    barycentric: np.ndarray  # (p,) barycentric weights of the nodes
     points: np.ndarray  # (p + 2,) 0, the nodes and 1
     step: np.ndarray  # (p + 1,) widths of the sub-intervals
     quartics: np.ndarray  # (5, p + 1, p) values at the nodes -> coefficients, over sub-intervals of width 1
@@ -54,6 +55,7 @@ def gauss_rule(order: int) -> Rule:
     # values at the nodes -> Legendre coefficients
     series = legendre.legvander(roots, order - 1).T * weights * (np.arange(order)[:, None] + 0.5)
     points, each = np.concatenate([[-1.0], roots, [1.0]]), np.eye(order)  # each coefficient
+    barycentric = 1.0 / np.prod(np.where(each > 0, 1.0, roots[:, None] - roots), axis=1)
     slopes = np.stack([legendre.legval(points, legendre.legder(one)) for one in each], axis=1) @ series
     step, values = np.diff(points)[:, None] / 2, legendre.legvander(points, order - 1) @ series
     totals = np.stack([legendre.legval(points[1:], legendre.legint(one, lbnd=-1)) for one in each], axis=1) @ series / 2
@@ -67,6 +69,7 @@ def gauss_rule(order: int) -> Rule:
         series=series,
         interpolation=np.linalg.inv(legendre.legvander(points, order + 1)),
         ends=values[[0, -1]],
+        barycentric=barycentric / np.max(np.abs(barycentric)),
         points=(points + 1) / 2,
         step=step[:, 0],
         quartics=_quartics_between(values, 2 * step * slopes[:-1], 2 * step * slopes[1:], gains / step),
@@ -403,12 +406,26 @@ class Elements(eqx.Module):
             start, values, end: trees of arrays with leading axes P, (P, p) and P.
         """
         i, x = self._within(arc_length)
-        weights = legendre_polynomials(x, self.order + 2) @ jnp.asarray(self.rule.interpolation, x.dtype)
+        x = 2 * x - 1
+        basis = [jnp.ones_like(x), x]
+        for n in range(1, self.order + 1):
+            basis.append(((2 * n + 1) * x * basis[n] - n * basis[n - 1]) / (n + 1))
+        weights = jnp.stack(basis) @ jnp.asarray(self.rule.interpolation, x.dtype)
 
         def at(a: Array, b: Array, c: Array) -> Array:
             return jnp.tensordot(weights, jnp.concatenate([a[i][None], b[i], c[i][None]]), 1)
 
         return jax.tree.map(at, start, values, end)
+
+    def lagrange(self, place: Float[Array, ""]) -> Float[Array, " p"]:
+        """The weights of the nodes in the value of their polynomial at a point in [0, 1].
+
+        At a node, derivatives with respect to the point are wrong.
+        """
+        apart = place - jnp.asarray(self.rule.nodes, place.dtype)
+        safe = jnp.where(apart == 0, jnp.finfo(apart.dtype).tiny ** 0.5, apart)
+        terms = jnp.asarray(self.rule.barycentric, apart.dtype) / safe
+        return terms / jnp.sum(terms)
 
     def _widths(self, values: Float[Array, "P p *k"]) -> Float[Array, "P *_"]:
         return self.width.reshape((-1, *[1] * (values.ndim - 2)))
@@ -422,15 +439,6 @@ class Elements(eqx.Module):
         i = jnp.sum((inside <= arc_length) & (inside < self.edges[-1]))
         width = self.width[i]
         return i, (arc_length - self.edges[i]) / jnp.where(width > 0, width, 1.0)
-
-
-def legendre_polynomials(place: Float[Array, ""], count: int) -> Float[Array, " count"]:
-    """The first Legendre polynomials, two or more, of an element at a point in [0, 1]."""
-    x = 2 * place - 1
-    found = [jnp.ones_like(x), x]
-    for n in range(1, count - 1):
-        found.append(((2 * n + 1) * x * found[n] - n * found[n - 1]) / (n + 1))
-    return jnp.stack(found)
 
 
 def slope_in_element(width: Float[Array, ""], values: Float[Array, "p *k"]) -> Float[Array, "p *k"]:
