@@ -17,6 +17,7 @@ from refusals import refused
 import cddf_jax as cddf
 from cddf_jax.designing.results import Achieved
 from cddf_jax.designing.task_file import KEYS, DesignTask, read_task
+from cddf_jax.errors import InputError
 from cddf_jax.estimation.determination import IDENTIFIED
 from cddf_jax.figures.designs import design_figure, draw_design, draw_trade_off
 from cddf_jax.files.manipulator_file import read_robot_file
@@ -252,6 +253,24 @@ def test_the_example_of_uniform_curvature_is_the_analytic_body(run, tmp_path):
     second_moment = tension * d * q * np.exp(-mu * kappa * s / q) / (modulus * kappa)
     radius = (4 * second_moment / np.pi + 0.007**4) ** 0.25
     np.testing.assert_allclose(body.outer_radius(s), radius, rtol=1e-7)  # asked for: 1e-4; nine knots give 2e-9
+
+
+def test_the_data_of_an_uncertain_body_are_those_of_the_robot_in_its_file(task, tmp_path, monkeypatch):
+    """Not of the body whose radius the task makes a straight taper."""
+    radius = 'outer_radius = { lines = [["0 mm", "20 mm"], ["70 mm", "14 mm"], ["140 mm", "13 mm"]] }'
+    waisted = re.sub(r"^outer_radius = .*$", radius, PAPER.read_text(), flags=re.M)
+    (tmp_path / "waisted.toml").write_text(waisted)
+    (tmp_path / "bench.csv").write_text("base_tension [N],tip_tension [N],tip_angle [deg]\n20,17,20\n40,30,40\n")
+    fitted: list[Any] = []
+    monkeypatch.setattr("cddf_jax.identification.fit.fit", lambda body, *_, **__: fitted.append(body) or stop())
+
+    def stop():
+        raise InputError("seen")
+
+    path = task(TASK.replace(str(PAPER), "waisted.toml") + '\n[uncertain]\ndata = "bench.csv"\n')
+    assert "seen" in refused(read_task, path)
+    (body,) = fitted
+    assert float(body.outer_radius(0.07)) == pytest.approx(0.014, rel=1e-6)
 
 
 def test_tendons_may_run_where_the_robot_has_them(task, tmp_path):
