@@ -134,7 +134,7 @@ def test_what_is_refused(make, message):
 
 def test_joints_at_one_place_turn_a_tendon_once():
     """A tendon without tension, a joint where nothing changes and a load of nothing at a knot change nothing."""
-    body = {"length": LENGTH, "outer_radius": OUTER, "youngs_modulus": E, "friction_coefficient": MU}
+    body: dict[str, Any] = {"length": LENGTH, "outer_radius": OUTER, "youngs_modulus": E, "friction_coefficient": MU}
     knots = cddf.Piecewise.linear([0.0, 0.1, 0.2], [0.008, 0.005, 0.008])
     one, other = cddf.Tendon(knots), cddf.Tendon(knots, side=-1)
     level = cddf.Piecewise.linear([0.0, 0.1, 0.2], [INNER] * 3)
