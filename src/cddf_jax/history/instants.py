@@ -239,7 +239,7 @@ def fronts_of(grid: Grid, share: Float[Array, "steps K tendons"], slid: Array) -
     """The arc length, m, up to which each tendon slides in one direction from the base."""
     along, widths = share * base_direction(share, slid)[:, None], grid.widths[:, None]
     moved_freely = (share == 0) & (slid != 0)  # without tension there is no friction
-    passed = moved_freely | (widths == 0) | ~where_present(grid.sections, jnp.ones_like(share[0], bool), False)
+    passed = moved_freely | (widths == 0) | (where_present(grid.sections, jnp.ones_like(share[0])) == 0)
     whole = jnp.cumprod((along > 1 - AT_LIMIT) | passed, axis=1)
     first = jnp.sum(whole, axis=1, keepdims=True).astype(int)
     last = jnp.minimum(first, share.shape[1] - 1)
