@@ -213,11 +213,7 @@ class Bench(eqx.Module):
             of_trial = None if deviation is None else deviation[self.course.first_row]
             loads_with = partial(self.setting.loads_with, parameters=parameters, components=components)
             body = in_space(body) if components == 3 else body
-            own = (
-                body
-                if self.tendons is None
-                else body.with_tendons(self.tendons if isinstance(self.tendons, tuple) else jnp.asarray(self.tendons))
-            )
+            own = body if self.tendons is None else body.with_tendons(self.tendons)
             found = course.trace(own, tension, loads_with, self.setting.markers_on, of_trial, nodes)
             return found if own_tendons is None else _with_slack_ones(found, own_tendons, body.num_tendons)
         tension = _true_tension(parameters, jnp.asarray(self.actuation), of_set_ones)

@@ -166,8 +166,8 @@ class Fit(LeastSquaresFit):
                 are those of all trials, not those of one trial alone.
             time: s, (rows,), of a path by displacement; needed where the fit knows a lag.
             history: whether the rows are a path from rest, pulled and released in this order; every turn counts. Else
-                each row is an equilibrium of its own, with the directions that `solve` finds; by displacement it is
-                pulled from rest, and its forces grow with it.
+                each row is an equilibrium of its own, with the directions that `solve` finds. By displacement, and
+                where friction acts along a history only, it is pulled from rest, and its forces grow with it.
 
         Raises:
             InputError: for another column, conditions of other shapes, or a path that `fit` could not follow.
