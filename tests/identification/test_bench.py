@@ -201,7 +201,9 @@ def test_which_rows_lie_on_one_curve(paper):
         "two tendons": (paper_body("exact", num_tendons=2), {"base_tension_2": [0.0, 0.0]}),
     }
     rubbing = paper_with(cddf.Tendon(0.010, outside_friction=0.3))  # which acts along a history only
-    assert not unread_rows(Measurements.from_columns("bench", **columns), rubbing, cddf.BenchSetting(), ()).on_one_curve
+    rows = unread_rows(Measurements.from_columns("bench", **columns), rubbing, cddf.BenchSetting(), ())
+    assert isinstance(rows, Bench)
+    assert not rows.on_one_curve
     assert bench_of(Measurements.from_columns("bench", **columns), paper).on_one_curve
     for body, extra in others.values():
         assert not bench_of(Measurements.from_columns("bench", **columns, **extra), body).on_one_curve
@@ -232,7 +234,7 @@ def test_noise_follows_its_readings():
     assert predicted == of_base == {"displacement": 1e-4}
     (left,), _ = without([pulled], [2])
     (group,) = groups_of([left], BenchModel(paper_body("exact"), (bench_of(left, paper_body("exact")),), 16))
-    found = noise_of([group], {"displacement": [1e-4, 2e-4, 3e-4]}, {"pulled": pulled})
+    found = noise_of([group], {"displacement": np.array([1e-4, 2e-4, 3e-4])}, {"pulled": pulled})
     np.testing.assert_array_equal(found["pulled: displacement"], [1e-4, 3e-4])
 
 
@@ -243,6 +245,7 @@ def test_trials_are_counted_without_pulley_tests():
     loops = Measurements.from_columns("loops", **columns, trial=[1, 1, 2, 2])
     given = True, "rest", ("slack_offset_trial_2",), {"displacement": 0.0}, 4, cddf.BenchSetting()
     courses, _ = courses_of(paper_body("exact"), [pulley, loops], *given)
+    assert courses[1] is not None
     assert np.asarray(courses[1][0].number).tolist() == [1, 2]
 
 
@@ -261,6 +264,6 @@ def test_antagonists_may_hang_slack_in_turn():
         for name in ("displacement", "displacement_2")
     )
     rows = [unread_rows(table, body, cddf.BenchSetting(), ()) for table in tables]
-    one, other = (each.solved(body, {}, 16).tip_angle for each in rows)
+    one, other = (each.solved(body, {}, 16).tip_angle for each in rows if isinstance(each, Bench))
     np.testing.assert_allclose(other, -one, rtol=1e-12)
     assert np.all(one > 0.1)
