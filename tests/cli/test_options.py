@@ -53,45 +53,45 @@ def test_a_place_of_the_tip_with_limits():
     place = of_kind(cddf.TipPosition, read_actuation(["tip_position = 100 mm, 8 cm from 1 N to 0.05 kN"], TWO))
     np.testing.assert_allclose(place.value, [0.1, 0.08], rtol=1e-15)
     assert (place.minimum_tension, place.maximum_tension) == (1.0, 50.0)
-    message = "--base-tension: a tip_position stands for all tendons; give it alone"
+    message = "base_tension: a tip_position stands for all tendons; give it alone"
     assert refused(read_actuation, ["tip_position=100, 80 mm", "3 N"], TWO) == message
 
 
 @pytest.mark.parametrize(
     ("target", "message"),
     [
-        ("75", "--base-tension needs a unit of force, got '75'; write for example '12.5 N'"),
-        ("", "--base-tension is not a number, got ''; write for example '12.5 N'"),
-        ("-5 N", "--base-tension '-5 N': a tendon cannot push; give 0 N or more"),
-        ("tip_angle=45", "--base-tension tip_angle needs a unit of angle, got '45'; write for example '12.5 deg'"),
+        ("75", "base_tension needs a unit of force, got '75'; write for example '12.5 N'"),
+        ("", "base_tension is not a number, got ''; write for example '12.5 N'"),
+        ("-5 N", "base_tension '-5 N': a tendon cannot push; give 0 N or more"),
+        ("tip_angle=45", "base_tension tip_angle needs a unit of angle, got '45'; write for example '12.5 deg'"),
         ("tip_angle 45 deg", "'tip_angle 45 deg': write a target with = as in 'tip_angle=12 deg'"),
         ("tip-angle=45 deg", "'tip-angle=45 deg': unknown target 'tip-angle'; did you mean tip_angle?"),
         ("mu=0.4", "'mu=0.4': unknown target 'mu'; known are displacement, tip_angle, tip_tension, curvature, "),
-        ("tip_position=0.1 m", "--base-tension tip_position needs two components X, Y, or three in space, got '0.1 m'"),
+        ("tip_position=0.1 m", "base_tension tip_position needs two components X, Y, or three in space, got '0.1 m'"),
         ("tip_position=1, 2, 3 mm", "'tip_position=1, 2, 3 mm': 3 components given; this body needs 2"),
         ("tip_position=1, 2 mm from 3 N to 2 N", "give a least tension of 0 N or more, and a largest"),
         ("tip_tension=-4 N", "'tip_tension=-4 N': a tendon cannot push; give 0 N or more"),
         ("tip_stiffness=0 N/m", "'tip_stiffness=0 N/m': a stiffness is positive; give more than 0 N/m"),
         ("curvature=8 1/m", "say where the curvature is wanted as in 'curvature=12 1/m at 70 mm'"),
-        ("curvature=8 1/m at 70", "--base-tension curvature at needs a unit of length, got '70'"),
+        ("curvature=8 1/m at 70", "base_tension curvature at needs a unit of length, got '70'"),
         ("curvature=8 1/m at 150 mm", "150 mm is not on the body; give an arc length from 0 mm to 140 mm"),
     ],
 )
 def test_wrong_tensions_and_targets(target, message):
     said = refused(read_actuation, [target], ONE)
-    assert said.startswith("--base-tension ")
+    assert said.startswith("base_tension ")
     assert message in said
 
 
 def test_wrong_numbers_of_tensions_targets_and_directions():
     for texts, body, message in (
-        (["75 N"] * 2, ONE, "--base-tension: 2 given; give one for all, or one for each of 1"),
-        (["75 N"] * 3, TWO, "--base-tension: 3 given; give one for all, or one for each of 2"),
-        (["tip_angle=45 deg"], TWO, "--base-tension: 1 given with a target among them; give one tension or target for"),
+        (["75 N"] * 2, ONE, "base_tension: 2 given; give one for all, or one for each of 1"),
+        (["75 N"] * 3, TWO, "base_tension: 3 given; give one for all, or one for each of 2"),
+        (["tip_angle=45 deg"], TWO, "base_tension: 1 given with a target among them; give one tension or target for"),
     ):
         assert refused(read_actuation, texts, body).startswith(message)
-    assert refused(read_directions, [1] * 3, TWO) == "--direction: 3 given; give one for all, or one for each of 2"
-    assert refused(read_directions, [2], ONE).startswith("--direction 2: give +1 for a tendon that slides in")
+    assert refused(read_directions, [1] * 3, TWO) == "direction: 3 given; give one for all, or one for each of 2"
+    assert refused(read_directions, [2], ONE).startswith("direction 2: give +1 for a tendon that slides in")
     assert read_directions([-1], TWO) == [-1, -1]
     assert read_directions(None, TWO) is None
 
@@ -122,23 +122,23 @@ def test_loads_at_places_of_the_body():
         ("60 mm: 0, -1 m", "X needs a unit of force, got '0 m'; write for example '12.5 N'"),
         ("60 mm: 0, -1 N and 1 N", "needs a unit of moment, got '1 N'; write for example '12.5 N m'"),
     ):
-        assert refused(read_loads, None, None, None, [text]) == f"--point-load {message}"
+        assert refused(read_loads, None, None, None, [text]) == f"point_load {message}"
 
 
 @pytest.mark.parametrize(
     ("option", "text", "message"),
     [
-        ("--tip-force", "5 N", " needs two components X, Y, or three in space, got '5 N'; write for example '0 N, -12"),
-        ("--tip-force", "1 N, 2 N, 3 m", " Z needs a unit of force, got '3 m'; write for example '12.5 N'"),
-        ("--tip-force", "0, -5", " X needs a unit of force, got '0'; write for example '12.5 N'"),
-        ("--tip-force", "0 N,", " Y is not a number, got ''; write for example '12.5 N'"),
-        ("--tip-moment", "0.1", " needs a unit of moment, got '0.1'; write for example '12.5 N m'"),
-        ("--tip-moment", "0.1 N m, 0", " is one number in the plane and three in space, got '0.1 N m, 0'"),
-        ("--gravity", "0, -9.81 m", " X needs a unit of acceleration, got '0 m'; write for example '12.5 m/s^2'"),
+        ("tip_force", "5 N", " needs two components X, Y, or three in space, got '5 N'; write for example '0 N, -12"),
+        ("tip_force", "1 N, 2 N, 3 m", " Z needs a unit of force, got '3 m'; write for example '12.5 N'"),
+        ("tip_force", "0, -5", " X needs a unit of force, got '0'; write for example '12.5 N'"),
+        ("tip_force", "0 N,", " Y is not a number, got ''; write for example '12.5 N'"),
+        ("tip_moment", "0.1", " needs a unit of moment, got '0.1'; write for example '12.5 N m'"),
+        ("tip_moment", "0.1 N m, 0", " is one number in the plane and three in space, got '0.1 N m, 0'"),
+        ("gravity", "0, -9.81 m", " X needs a unit of acceleration, got '0 m'; write for example '12.5 m/s^2'"),
     ],
 )
 def test_wrong_loads(option, text, message):
-    texts = [text if option == own else None for own in ("--tip-force", "--tip-moment", "--gravity")]
+    texts = [text if option == own else None for own in ("tip_force", "tip_moment", "gravity")]
     assert refused(read_loads, *texts).startswith(option + message)
 
 

@@ -170,9 +170,9 @@ def _case(table: Table, body: Manipulator, gravity: tuple[float, ...] | None) ->
     for name in numbers:
         case_numbers(body).number(name)
     return LoadCase(
-        read_actuation(_texts(table, "base_tension"), body, called=str),
-        read_loads(**loads, points=_texts(table, "point_loads"), mounted=gravity, called=str),
-        read_directions(direction if isinstance(direction, list | None) else [direction], body, called=str),
+        read_actuation(_texts(table, "base_tension"), body),
+        read_loads(**loads, points=_texts(table, "point_loads"), mounted=gravity),
+        read_directions(direction if isinstance(direction, list | None) else [direction], body),
         {name: quantity(value, dimension_of_number(name), name) for name, value in numbers.items()},
         quantity(table.get("weight", 1.0), "dimensionless", "weight"),
         str(table.get("name", "")),

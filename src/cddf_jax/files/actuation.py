@@ -25,20 +25,12 @@ TARGETS: dict[str, Callable[..., object]] = {
 }
 
 
-def as_option(name: str) -> str:
-    """How the command line calls a quantity: "--base-tension"."""
-    return f"--{name.replace('_', '-')}"
-
-
-def read_actuation(
-    texts: Sequence[str], manipulator: Manipulator, *, called: Callable[[str], str] = as_option
-) -> list[float | Target] | TipPosition:
+def read_actuation(texts: Sequence[str], manipulator: Manipulator) -> list[float | Target] | TipPosition:
     """Tensions (N) and targets out of texts such as "75 N" and "tip_angle=45 deg": one for all tendons or one each.
 
-    A place of the tip, "tip_position=100, 80 mm from 1 N to 50 N", stands for all tendons. `called` turns the name of a
-    quantity into its name in messages.
+    A place of the tip, "tip_position=100, 80 mm from 1 N to 50 N", stands for all tendons.
     """
-    name, count = called("base_tension"), manipulator.num_tendons
+    name, count = "base_tension", manipulator.num_tendons
     if any(text.partition("=")[0].strip() == TipPosition.quantity for text in texts):
         if len(texts) > 1:
             raise InputError("a tip_position stands for all tendons; give it alone", where=name)
@@ -59,11 +51,9 @@ def one_for_each_tendon(name: str, values: list[Entry], count: int) -> list[Entr
     return values * count if len(values) == 1 else values
 
 
-def read_directions(
-    given: Sequence[object] | None, manipulator: Manipulator, *, called: Callable[[str], str] = as_option
-) -> list[int] | None:
+def read_directions(given: Sequence[object] | None, manipulator: Manipulator) -> list[int] | None:
     """The directions of all tendons, from one for all or one for each; None if none is given."""
-    name, found = called("direction"), []
+    name, found = "direction", []
     for value in given or ():
         if isinstance(value, bool) or value not in (1, -1):
             raise InputError(f"{name} {value}: give +1 for a tendon that slides in, -1 for one that slides out")
@@ -131,25 +121,23 @@ def read_loads(
     gravity: str | None,
     points: Sequence[str] | None = None,
     mounted: tuple[float, ...] | None = None,
-    *,
-    called: Callable[[str], str] = as_option,
 ) -> Loads | None:
     """Dead loads out of texts such as "0 N, -5 N", "0.1 N m" and "0, -9.81 m/s^2"; None where there are none.
 
     In space each has three components, "0, -5, 1 N", the moment as well. `points` are loads at other places than the
     tip, such as "60 mm: 0, -1 N and 0.1 N m". `mounted` is the gravity of the robot file, m/s^2: it acts where no text
-    gives gravity, and a text of zeros switches it off. `called` is as in `read_actuation`.
+    gives gravity, and a text of zeros switches it off.
     """
-    own = mounted if gravity is None else vector(gravity, "acceleration", called("gravity"))
+    own = mounted if gravity is None else vector(gravity, "acceleration", "gravity")
     if mounted is not None and not any(own or ()):
         own = None
     if tip_force is None and tip_moment is None and own is None and not points:
         return None
     return Loads(
-        (0.0, 0.0) if tip_force is None else vector(tip_force, "force", called("tip_force")),
-        0.0 if tip_moment is None else _moment(tip_moment, called("tip_moment")),
+        (0.0, 0.0) if tip_force is None else vector(tip_force, "force", "tip_force"),
+        0.0 if tip_moment is None else _moment(tip_moment, "tip_moment"),
         (0.0, 0.0) if own is None else own,
-        [_point_load(text, called("point_load")) for text in points or ()],
+        [_point_load(text, "point_load") for text in points or ()],
     )
 
 
