@@ -14,7 +14,7 @@ PAPER, LOAD_CELLS, PULLEY = (
     str(DATA / name) for name in ("smooth_sil_940.toml", "load_cells_simulated.csv", "pulley_simulated.csv")
 )
 PULL = ("-t", "75 N")
-COMMANDS = ("solve", "trace", "sweep", "fit", "design", "plan", "reproduce", "explore", "cache")
+COMMANDS = ("solve", "trace", "sweep", "fit", "design", "plan", "reproduce", "explore")
 
 
 @pytest.mark.parametrize("arguments", [(), *((command,) for command in COMMANDS)])

@@ -10,7 +10,7 @@ import typer
 
 from ..errors import InputError, SolveError
 from ..progress import show_progress
-from . import cache, design, explore, fit, plan, reproduce, solve, sweep, trace
+from . import design, explore, fit, plan, reproduce, solve, sweep, trace
 from .options import BAD_INPUT, FAILED, INTERRUPTED, stop
 
 app = typer.Typer(
@@ -50,4 +50,3 @@ app.command(epilog=fit.EXAMPLE)(fit.fit)
 app.command(epilog=plan.EXAMPLE)(plan.plan)
 app.command(epilog=reproduce.EXAMPLE)(reproduce.reproduce)
 app.command(epilog=explore.EXAMPLE)(explore.explore)
-app.command(epilog=cache.EXAMPLE)(cache.cache)
