@@ -164,14 +164,6 @@ def _all_say(what: str, good: bool) -> bool:
 # --- the store -------------------------------------------------------------------------------------
 
 
-def items_there(path: Path, layout: Layout, identity: Mapping[str, object]) -> int:
-    """The number of items that the store at the path has already."""
-    if not path.exists():
-        return 0
-    layout, arrays = _same_work(path, layout, identity)
-    return sum(count(region) for region in layout.regions() if _is_complete(path, layout, arrays, region))
-
-
 def _opened(path: Path, layout: Layout, identity: Callable[[], Mapping[str, object]]) -> tuple[Layout, dict[str, Any]]:
     """As `_same_work`; the store is made if it is missing."""
     needed("zarr")

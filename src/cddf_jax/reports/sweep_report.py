@@ -12,7 +12,7 @@ from rich import filesize
 
 from .. import figures
 from ..batch.drafts import check_folder
-from ..batch.work import COPIES, items_there
+from ..batch.work import COPIES
 from ..errors import InputError, in_utf8, within
 from ..progress import stage
 from ..statics.status import Status, words_of
@@ -63,7 +63,6 @@ def run_sweep(work: Sweep, store: Path, options: Mapping[str, object]) -> "tuple
 
     The options of the command line go into the summary. All processes but the first return None.
     """
-    before = items_there(store, work.layout, work.identity)
     start = time.perf_counter()
     answer = work.run(store)
     seconds = time.perf_counter() - start
@@ -72,7 +71,6 @@ def run_sweep(work: Sweep, store: Path, options: Mapping[str, object]) -> "tuple
     counts = np.bincount(answer[RESULT].values.ravel(), minlength=len(Status))
     summary: Json = {
         "solves": work.layout.size,
-        "solves_there_before": before,
         "seconds": seconds,
         "results": {status.name: int(n) for status, n in zip(Status, counts, strict=True) if n},
         **({} if work.loads is None else {"loads": work.loads}),
@@ -125,11 +123,9 @@ def rehearse(work: Sweep) -> Json:
 
 def summary_in_words(summary: Json) -> str:
     """The summary of a sweep for the terminal."""
-    total, before = summary["solves"], summary["solves_there_before"]
+    total = summary["solves"]
     counts = ", ".join(f"{count:,} {name.replace('_', ' ')}" for name, count in summary["results"].items())
-    some = f", {before:,} there already, {total - before:,} more" if before else ""
-    how = f"{some} in {summary['seconds']:.3g} s" if before < total else ", all there already"
-    lines = [f"{total:,} solve{'s' if total > 1 else ''}{how}: {counts}"]
+    lines = [f"{total:,} solve{'s' if total > 1 else ''} in {summary['seconds']:.3g} s: {counts}"]
     failed = [name for name in summary["results"] if name != "successful"]
     lines += [f"{name.replace('_', ' ')}: {words_of(Status[name])}" for name in failed]
     lines += [f"no figure: {summary['no_figure']}"] if summary["no_figure"] else []
