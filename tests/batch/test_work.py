@@ -261,7 +261,6 @@ OTHERS = {
     "outputs": ({"outputs": ["tip_angle"]}, "its outputs is"),
     "nodes": ({"nodes": 12}, "its nodes is 16, not 12"),
     "a number more": ({"body": {"drag": 1.0}}, 'its drag is "missing", not 1.0'),
-    "observable": ({"observables": {"x": lambda found: found.tip_angle}}, "its observables is"),
 }
 
 

@@ -269,7 +269,6 @@ WRONG = [
     ((*TENSIONS, "--over", "kinematics=exact", "--kinematics", "exact"), "kinematics is given by --kinematics and "),
     ((*TENSIONS, "--samples", "5"), "--samples 5: nothing is sampled"),
     ((*TENSIONS, "--over", "nodes=8:16:2"), "--over nodes: write whole numbers as in nodes=8,16"),
-    ((*TENSIONS, "--over", "method=literal"), "--over method: the command line takes no methods"),
     ((*TENSIONS, "--sample", "youngs_modulus=1MPa:2MPa"), "--sample needs the number of samples"),
     ((*TENSIONS, "--samples", "4", "--sample", "youngs_modulus=1MPa"), "--sample youngs_modulus: write least and "),
     ((*TENSIONS, "--samples", "4", "--sample", "nodes=8:16"), "'nodes' is not a number of the body"),

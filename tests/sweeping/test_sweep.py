@@ -32,10 +32,6 @@ def grid():
         paper_body(),
         {"base_tension": TENSIONS, "friction_coefficient": FRICTION},
         outputs=("tip_tension", "tip_position", "tip_angle", "tension_loss", "stable", "num_iterations", "curvature"),
-        observables={
-            "height": lambda found: found.tip_position[1],
-            "ends": lambda found: found.curvature[jnp.array([0, -1])],
-        },
         sensitivities=("friction_coefficient", "youngs_modulus"),
     )
 
@@ -56,7 +52,6 @@ def test_it_is_labelled(grid):
         "tendon": 1,
         "component": 2,
         "point": 18,
-        "ends_0": 2,
     }
     assert list(grid.component.values) == ["X", "Y"]
     np.testing.assert_array_equal(grid.base_tension, TENSIONS)
@@ -68,15 +63,6 @@ def test_it_is_labelled(grid):
     assert units["tip_tension_by_friction_coefficient"] == "N"
     assert units["tip_position_by_youngs_modulus"] == "m/Pa"
     assert units["curvature_by_youngs_modulus"] == "1/m/Pa"
-    assert units["height"] is None  # the unit of a function is not known
-
-
-def test_observables_are_functions_of_the_equilibrium(grid):
-    np.testing.assert_array_equal(grid.height, grid.tip_position.sel(component="Y"))
-    np.testing.assert_array_equal(grid.ends, grid.curvature.isel(point=[0, -1]))
-    np.testing.assert_allclose(
-        grid.height_by_youngs_modulus, grid.tip_position_by_youngs_modulus.sel(component="Y"), rtol=SAME
-    )
 
 
 def test_all_is_well_and_said_to_be(grid):
@@ -199,7 +185,6 @@ ONE = paper_body()
     [
         (ONE, {"friction_coefficient": [0.4]}, {"base_tension": 5.0}, 'history needs the axis "base_tension"'),
         (ONE, {"base_tension": PATH}, {"direction": 1}, "with history there is no direction; leave it out"),
-        (ONE, {"base_tension": PATH}, {"method": cddf.LiteralIteration(1e-6)}, "with history there is no method"),
         (ONE, {"base_tension": PATH}, {"sensitivities": ("base_tension",)}, "with history there is no base_tension"),
         (ONE, {"base_tension": PATH}, {"outputs": ("stable",)}, "'stable' is not an output of a history; there are"),
         (PAIR, {"base_tension": PULL}, {"short_steps": 1}, "short_steps must be a whole number of 2 or more, got 1"),
@@ -276,14 +261,6 @@ def test_options_are_axes_too():
     expected = tension / (1 + tension * 0.42 * COMPLIANCE / 1.4e6)
     np.testing.assert_allclose(published, expected, rtol=1e-10)
     np.testing.assert_allclose(exact, tension * np.exp(-0.42 * answer.tip_angle[1]), rtol=1e-10)  # the capstan law
-
-
-@pytest.mark.slow
-def test_methods_side_by_side():
-    methods = [cddf.FixedPoint(), cddf.LiteralIteration(tip_tolerance=1e-12)]
-    answer = cddf.sweep(paper_body(), {"method": methods}, base_tension=75.0, outputs=["tip_tension"])
-    assert [str(label).split("(")[0] for label in answer.method.values] == ["FixedPoint", "LiteralIteration"]
-    np.testing.assert_allclose(answer.tip_tension[0], answer.tip_tension[1], rtol=1e-8)
 
 
 def test_failed_and_doubtful_solves_are_masked_and_harm_no_neighbour():
@@ -372,9 +349,7 @@ BAD = {
     "no tension": ({"youngs_modulus": [1e6]}, {}, "neither given nor an axis"),
     "nodes": ({"nodes": [2]}, {"base_tension": 1.0}, "nodes must be a whole number of 4 or more, got 2"),
     "kinematics": ({"kinematics": ["exakt"]}, {"base_tension": 1.0}, "kinematics must be one of .* got 'exakt'"),
-    "method": ({"method": ["FixedPoint"]}, {"base_tension": 1.0}, "method must be one such as"),
     "axis and output": ({"base_tension": [1.0]}, {"outputs": ["base_tension"]}, "an axis and an output"),
-    "observable": ({"base_tension": [1.0]}, {"observables": {"result": len}}, "'result' must be a function"),
     "sensitivity": ({"base_tension": [1.0]}, {"sensitivities": ["nodes"]}, "nothing can be differentiated by 'nodes'"),
     "absent": ({"base_tension": [1.0]}, {"sensitivities": ["drag"]}, "has no 'drag' to differentiate by"),
     "overlap": ({"base_tension": [1.0]}, {"sensitivities": ["base_tension_1"]}, "overlap"),

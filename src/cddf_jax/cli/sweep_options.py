@@ -105,8 +105,6 @@ def _options(name: str, text: str) -> list[str] | list[int]:
     values = [part.strip() for part in text.split(",")]
     if name == "kinematics":
         return values
-    if name == "method":
-        raise InputError("--over method: the command line takes no methods; use cddf_jax.sweep in Python")
     if not all(value.isdigit() for value in values):
         raise InputError(f"--over nodes: write whole numbers as in nodes=8,16, got {text!r}")
     return [int(value) for value in values]

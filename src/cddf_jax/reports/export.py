@@ -64,9 +64,9 @@ def as_dataset(equilibrium: Equilibrium, arc_length: ArrayLike | Sequence[float]
             continue
         values = getattr(fields, name) if "point" in own else getattr(equilibrium, name)
         dims = tuple("arc_length" if dim == "point" else dim for dim in own)
-        data[name] = (dims, np.asarray(values), attributes(name, known))
+        data[name] = (dims, np.asarray(values), attributes(name))
     words = {"result": result_in_words(equilibrium) or "successful"}
-    dataset = xarray.Dataset(data, {"arc_length": ("arc_length", s, attributes("arc_length", known))}, words)
+    dataset = xarray.Dataset(data, {"arc_length": ("arc_length", s, attributes("arc_length"))}, words)
     return dataset.assign_coords(coordinates((), {}, dataset.sizes))
 
 

@@ -12,7 +12,7 @@ from ..statics.named_numbers import holds
 if TYPE_CHECKING:
     from scipy.stats.qmc import QMCEngine
 
-OPTIONS = ("nodes", "method", "kinematics")  # each value has its own program
+OPTIONS = ("nodes", "kinematics")  # each value has its own program
 PATH = "path"  # the attribute of a dataset that names the dimension whose base tensions were traced in their order
 ALONG_A_PATH = ("base_tension", "loads.")  # how the names of numbers begin that may vary along it
 Ranges = Mapping[str, tuple[float, float]]
@@ -24,7 +24,7 @@ class Dimension(NamedTuple):
 
     name: str
     numbers: dict[str, np.ndarray]  # by the name of a number of the case
-    options: dict[str, tuple[object, ...]]
+    options: dict[str, tuple[int | str, ...]]
 
     @property
     def size(self) -> int:

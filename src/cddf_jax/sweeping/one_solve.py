@@ -1,6 +1,6 @@
 """The outputs of a sweep with their dimensions and units, and the function that computes them for one solve."""
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
@@ -11,10 +11,8 @@ from jaxtyping import Array, ArrayLike, Float
 
 from ..history.history import ENERGIES, History
 from ..history.trace import trace
-from ..mechanics.problem import Method
 from ..quantities import QUANTITIES
 from ..robot.loads import Loads
-from ..statics.equilibrium import Equilibrium
 from ..statics.named_numbers import Case
 from ..statics.solve import solve
 from ..statics.status import Status
@@ -77,24 +75,19 @@ OF_HISTORY: dict[int, dict[str, tuple[str, ...]]] = {
 }
 
 
-def attributes(name: str, known: Collection[str], by: str = "", unit_by: str = "") -> dict[str, object]:
-    """What the dataset says of an output, or of its derivative by the number `by`, which has the unit `unit_by`.
-
-    `known` are the names of all outputs but observables, whose units are not known.
-    """
-    unit, meaning = (QUANTITIES[name].unit, QUANTITIES[name].words) if name in known else ("", name)
+def attributes(name: str, by: str = "", unit_by: str = "") -> dict[str, object]:
+    """What the dataset says of an output, or of its derivative by the number `by`, which has the unit `unit_by`."""
+    if name == SUCCESSFUL:
+        return {"long_name": "solved without any doubt"}
+    if name == RESULT:
+        codes = {"flag_values": [*range(len(Status))], "flag_meanings": " ".join(Status.__members__)}
+        return {"long_name": name, **codes}
+    unit, meaning = QUANTITIES[name].unit, QUANTITIES[name].words
     if by:
         meaning = f"{meaning}, by {by}"
     if unit and by and unit_by != "1":
         unit += f"/({unit_by})" if " " in unit_by or "/" in unit_by else f"/{unit_by}"
-    if name == SUCCESSFUL:
-        meaning = "solved without any doubt"
-    found: dict[str, object] = {"long_name": meaning}
-    if unit:
-        found["units"] = unit
-    if name == RESULT:
-        found |= {"flag_values": [*range(len(Status))], "flag_meanings": " ".join(Status.__members__)}
-    return found
+    return {"long_name": meaning, "units": unit} if unit else {"long_name": meaning}
 
 
 def slope_name(output: str, by: str) -> str:
@@ -111,8 +104,7 @@ def coordinates(
         for name, values in dimension.numbers.items():
             coords[name] = (dimension.name, values, {"units": units[name]})
         for name, values in dimension.options.items():
-            labels = [value if isinstance(value, int | str) else repr(value) for value in values]
-            coords[name] = (dimension.name, labels)
+            coords[name] = (dimension.name, [*values])
     own = {
         "tendon": (np.arange(sizes.get("tendon", 0)), {"long_name": "place among the tendons"}),
         "component": ([*COMPONENTS[: sizes.get("component")]], {}),
@@ -133,11 +125,9 @@ class OneSolve(eqx.Module):
     case: Case
     path: dict[str, Float[Array, " steps"]] | None  # base tensions, N, and loads along it, by name
     outputs: tuple[str, ...] = eqx.field(static=True)
-    observables: tuple[tuple[str, Callable[[Equilibrium], ArrayLike]], ...] = eqx.field(static=True)
     sensitivities: tuple[str, ...] = eqx.field(static=True)
     nodes: int = eqx.field(static=True)
     short_steps: int = eqx.field(static=True)
-    method: Method = eqx.field(static=True)
 
     def __call__(self, numbers: Numbers) -> dict[str, Array]:
         if not self.sensitivities:
@@ -155,10 +145,9 @@ class OneSolve(eqx.Module):
     def _answer(self, numbers: Numbers) -> dict[str, Array]:
         there = self.case.with_numbers(numbers)
         if self.path is None:
-            options = {"direction": there.direction, "method": self.method, "nodes": self.nodes}
-            found = solve(there.manipulator, there.base_tension, there.loads, throw=False, **options)
+            given = there.manipulator, there.base_tension, there.loads
+            found = solve(*given, direction=there.direction, nodes=self.nodes, throw=False)
             outputs = {name: getattr(found, name) for name in self.outputs}
-            outputs |= {name: jnp.asarray(function(found)) for name, function in self.observables}
         else:
             given = there.manipulator, *_along(there, self.path)
             found = trace(*given, nodes=self.nodes, short_steps=self.short_steps, throw=False)

@@ -2,8 +2,8 @@
 
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.metadata import version
 from typing import TYPE_CHECKING
@@ -13,23 +13,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
-from ..batch.fingerprint import code_digest, numbers_of, recorded
+from ..batch.fingerprint import numbers_of, recorded
 from ..batch.lanes import in_lanes
 from ..batch.work import COPIES, Layout, Region, carry_out, even_chunks, not_computed
 from ..errors import InputError, needed, within
 from ..mechanics.directions import as_directions, stated_directions
-from ..mechanics.march import FixedPoint
-from ..mechanics.problem import Method
 from ..numerics.given_numbers import check_numbers
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..robot.validation import check_loads
 from ..statics.arguments import refuse_batch
-from ..statics.equilibrium import Equilibrium
 from ..statics.named_numbers import Case, holds, of_tendon, stem_and_tendon
 from ..statics.targets import Actuation, Target, TipPosition
 from . import one_solve
-from .axes import ALONG_A_PATH, OPTIONS, PATH, RESERVED, Dimension, dimensions_of
+from .axes import ALONG_A_PATH, OPTIONS, PATH, Dimension, dimensions_of
 from .one_solve import RESULT, SUCCESSFUL, OneSolve, slope_name
 
 if TYPE_CHECKING:
@@ -40,7 +37,6 @@ CHUNK_IN_INCREMENTS = 512  # solves, each of which takes some 10,000 times as lo
 SHARE = 0.25  # of the free memory, for the chunks at work
 DEFAULT_OUTPUTS = ("tip_tension", "tip_position", "tip_angle")
 Values = Sequence[object] | np.ndarray | jax.Array  # along one axis
-Observable = Callable[[Equilibrium], ArrayLike]
 
 
 def sweep(
@@ -53,10 +49,8 @@ def sweep(
     short_steps: int = 16,
     direction: ArrayLike | Sequence[int | None] | None = None,
     outputs: Sequence[str] = DEFAULT_OUTPUTS,
-    observables: Mapping[str, Observable] | None = None,
     sensitivities: Sequence[str] = (),
     nodes: int = 16,
-    method: Method = FixedPoint(),
     out: str | os.PathLike[str] | None = None,
     chunk: int | None = None,
 ) -> "xarray.Dataset":
@@ -68,8 +62,8 @@ def sweep(
             other name and several numbers that vary together along it, {"sample": latin_hypercube(...)}. The dimensions
             are combined with each other. A name is the path to a number: "base_tension", "youngs_modulus",
             "outer_radius.tip", "tendons.0.offset", "loads.tip_force.1", "base_tension_2", and the options "nodes",
-            "method", "kinematics". SI units.
-        base_tension, loads, direction, nodes, method: as `solve` takes them, if no axis names them.
+            "kinematics". SI units.
+        base_tension, loads, direction, nodes: as `solve` takes them, if no axis names them.
         history: take the base tensions along their axis as a path in time, N, from rest: tendons are pulled and
             released in their order, by `trace`, for each combination of the other axes. Several tendons, and loads that
             change with them, vary together along it: {"path": {"base_tension_1": values, "base_tension_2": values}}.
@@ -78,7 +72,6 @@ def sweep(
             `result`, which is `inaccurate` if the error is large.
         short_steps: as `trace` takes it, with several tendons or loads.
         outputs: attributes of `Equilibrium`, or of `History` and its fields, each an array of the dataset.
-        observables: more outputs, by name, each a function of an `Equilibrium`.
         sensitivities: names of numbers; for each real output X and each number P the dataset then has X_by_P, the
             derivative.
         out: path of a Zarr store. A sweep that was stopped, even by a kill, goes on where it was when it is started
@@ -108,10 +101,8 @@ def sweep(
         short_steps=short_steps,
         direction=direction,
         outputs=_names("outputs", outputs),
-        observables=dict(observables or {}),
         sensitivities=_names("sensitivities", sensitivities),
         nodes=nodes,
-        method=method,
         chunk_size=chunk,
     )
     return work.run(out)
@@ -135,10 +126,8 @@ class Sweep:
     short_steps: int = 16
     direction: ArrayLike | Sequence[int | None] | None = None
     outputs: tuple[str, ...] = DEFAULT_OUTPUTS
-    observables: dict[str, Observable] = field(default_factory=dict)
     sensitivities: tuple[str, ...] = ()
     nodes: int = 16
-    method: Method = field(default_factory=FixedPoint)
     chunk_size: int | None = None
 
     # --- what is asked for ------------------------------------------------------------------------
@@ -222,16 +211,16 @@ class Sweep:
         """The dataset without results."""
         sizes = {dimension.name: dimension.size for dimension in self.dimensions}
         arrays: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, object]]] = {}
-        outputs, known = (*self.outputs, *self.observables), self.known_outputs
+        known = self.known_outputs
         # name, output and the number that it is differentiated by, in the order of the answer
-        wanted = [(slope_name(n, by) if by else n, n, by) for n in outputs for by in ("", *self.sensitivities)]
+        wanted = [(slope_name(n, by) if by else n, n, by) for n in self.outputs for by in ("", *self.sensitivities)]
         wanted += [(SUCCESSFUL, SUCCESSFUL, ""), (RESULT, RESULT, "")]
         for index in np.ndindex(*(d.size if d.options else 1 for d in self.dimensions)):
             shapes = self._shapes(dict(zip(sizes, index, strict=True)))
             for name, output, by in (entry for entry in wanted if entry[0] in shapes):  # only what is real has slopes
                 own, dtype = shapes[name]
-                dims = (*sizes, *known.get(output, [f"{output}_{i}" for i in range(len(own))]))
-                attrs = one_solve.attributes(output, known, by, self.case.unit(by) if by else "")
+                dims = (*sizes, *known.get(output, ()))
+                attrs = one_solve.attributes(output, by, self.case.unit(by) if by else "")
                 new = dims, not_computed((*sizes.values(), *own), dtype), attrs
                 if arrays.setdefault(name, new)[1].shape != new[1].shape:
                     raise InputError(f"sweep: the length of {name} changes with the nodes; sweep 'nodes' without it")
@@ -265,9 +254,7 @@ class Sweep:
             "history": self.history,
             **({"short_steps": self.short_steps} if self.in_increments else {}),
             "nodes": self.nodes,
-            "method": recorded(self.method),
             "outputs": list(self.outputs),
-            "observables": {name: code_digest(function) for name, function in self.observables.items()},
             "sensitivities": list(self.sensitivities),
             "precision": self.dtype.name,
             "version of cddf_jax": version("cddf_jax"),
@@ -281,8 +268,7 @@ class Sweep:
             case = replace(self.case, manipulator=replace(self.manipulator, kinematics=kinematics))
         case = jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float | np.ndarray) else leaf, case)
         path = None if self.path is None else jax.tree.map(jnp.asarray, self.path.numbers)
-        asked = self.outputs, tuple(self.observables.items()), self.sensitivities
-        one = OneSolve(case, path, *asked, self.nodes, self.short_steps, self.method)
+        one = OneSolve(case, path, self.outputs, self.sensitivities, self.nodes, self.short_steps)
         return replace(one, **chosen)
 
     # --- running ------------------------------------------------------------------------------------
@@ -329,13 +315,11 @@ def _check_history(work: Sweep) -> None:
     if beside:
         raise InputError(f"sweep: only base tensions and loads vary along a path, not {beside[0]}; give it an axis")
     numbers = {name for d in work.dimensions for name in (*d.numbers, *d.options)}
-    given = {"direction": work.direction, "observables": work.observables or None}
-    others = [name for name, value in given.items() if value is not None]
-    others += [name for name in numbers if name.startswith(("direction", "method"))]
+    others = [] if work.direction is None else ["direction"]
+    others += [name for name in numbers if name.startswith("direction")]
     others += [name for name in work.sensitivities if name.startswith(ALONG_A_PATH)]
-    if others or not isinstance(work.method, FixedPoint):
-        what = others[0] if others else "method"
-        raise InputError(f"sweep: with history there is no {what}; leave it out")
+    if others:
+        raise InputError(f"sweep: with history there is no {others[0]}; leave it out")
     entries = jax.tree.leaves(work.case.base_tension, is_leaf=lambda entry: isinstance(entry, Target))
     if work.in_increments and any(isinstance(entry, Target | TipPosition) for entry in entries):
         raise InputError("sweep: with history base_tension must hold tensions, N, in place of targets")
@@ -362,10 +346,6 @@ def _check(work: Sweep) -> None:
             raise InputError(f"sweep: {name!r} is not an output{of}; there are {', '.join(work.known_outputs)}")
         if name in known:
             raise InputError(f"sweep: {name!r} is an axis and an output; take it out of the outputs")
-    taken = {*known, *work.known_outputs, *RESERVED}
-    for name, function in work.observables.items():
-        if name in taken or "/" in name or not callable(function):
-            raise InputError(f"sweep: the observable {name!r} must be a function, with a name that nothing else has")
     case, swept = work.case, {name for dimension in work.dimensions for name in dimension.numbers}
     _check_effects(swept, case)
     if case.base_tension is None and "base_tension" not in swept:
