@@ -117,3 +117,7 @@ def test_written_reads_back_to_the_last_bit(value, dimension):
 @pytest.mark.parametrize("names", [OUTPUTS, PARAMETERS, COLUMNS, TARGETS, BODY_QUANTITIES])
 def test_every_table_of_names_is_in_the_registry(names):
     assert set(names) <= set(QUANTITIES)
+
+
+def test_every_quantity_has_a_known_dimension():
+    assert all(known.dimension is None or known.unit for known in QUANTITIES.values())

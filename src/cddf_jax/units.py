@@ -9,7 +9,7 @@ import re
 from collections.abc import Sequence
 from decimal import Context, Decimal
 from functools import cache
-from typing import TYPE_CHECKING, Literal, NamedTuple, SupportsFloat, cast
+from typing import TYPE_CHECKING, NamedTuple, SupportsFloat, TypeAlias, cast
 
 import numpy as np
 
@@ -18,29 +18,7 @@ from .errors import InputError
 if TYPE_CHECKING:
     import pint
 
-Dimension = Literal[
-    "length",
-    "force",
-    "pressure",
-    "density",
-    "angle",
-    "moment",
-    "acceleration",
-    "curvature",
-    "stiffness",
-    "compliance",
-    "stretch",
-    "force per length",
-    "torsional stiffness",
-    "bending stiffness",
-    "mass per length",
-    "mass",
-    "volume",
-    "time",
-    "energy",
-    "strain",
-    "dimensionless",
-]
+Dimension: TypeAlias = str  # one of those in `_UNITS`
 
 
 class _Units(NamedTuple):
@@ -179,11 +157,7 @@ def unit_fits(unit: str, dimension: Dimension) -> bool:
     if dimension == "dimensionless":
         return False
     unit = _scaled(unit)[1]
-    if _own_size(unit, dimension) is not None:
-        return True
-    base = _in_si(unit)[1]
-    mass = dimension == "force" and base == _in_si("kg")[1]
-    return base is not None and (mass or base == _in_si(_UNITS[dimension].si)[1])
+    return _size(unit, dimension) is not None or (dimension == "force" and _is_mass(unit))
 
 
 def written(value: float, dimension: Dimension) -> str:
@@ -229,21 +203,25 @@ def _size_in_si(unit: str, dimension: Dimension, what: str, got: str, example: s
     """How many SI units of the dimension one `unit` is."""
     if dimension == "moment":
         unit = _NEWTON_METRES.sub(r"\1 \2", unit)
-    if (own := _own_size(unit, dimension)) is not None:
-        return own
-    (size, base), si = _in_si(unit), _UNITS[dimension].si
-    if base is not None and base == _in_si(si)[1] and bool(unit) >= bool(si):
+    if (size := _size(unit, dimension)) is not None:
         return size
-    if dimension == "force" and base == _in_si("kg")[1]:
+    if dimension == "force" and _is_mass(unit):
         example += "; a mass is not a force: did you mean gf or kgf, its weight?"
-    unknown = f" with the unknown unit {unit!r}" if unit and base is None else ""
+    unknown = f" with the unknown unit {unit!r}" if unit and _in_si(unit)[1] is None else ""
     raise InputError(f"{what} needs a unit of {dimension}, {got}{unknown}; write for example {example}")
 
 
-def _own_size(unit: str, dimension: Dimension) -> Decimal | None:
-    """How many SI units one `unit` is, for those that need no pint; None for others."""
+def _size(unit: str, dimension: Dimension) -> Decimal | None:
+    """How many SI units one `unit` is; None if it is none of this dimension."""
     known = _UNITS[dimension]
-    return Decimal(known.size) if unit == known.preferred else Decimal(1) if unit == known.si else None
+    if unit in (known.preferred, known.si):  # without pint
+        return Decimal(known.size if unit == known.preferred else 1)
+    size, base = _in_si(unit)
+    return size if base is not None and base == _in_si(known.si)[1] else None
+
+
+def _is_mass(unit: str) -> bool:
+    return _in_si(unit)[1] == _in_si("kg")[1]
 
 
 @cache

@@ -46,8 +46,7 @@ def read_table(path: str | os.PathLike[str], kind: Kind, columns: Mapping[str, s
     with within(path):
         source, given = _opened(path, kind, columns or {})
         below = list(islice(source.rows, _UNITS_BELOW))
-        numbers_below = any(is_number(cells[0].replace(",", ".")) for _, cells in below)
-        headings = table_header.headings_of(source.header, source.row, kind, given, numbers_below)
+        headings = table_header.headings_of(source.header, source.row, kind, given)
         for i, (row, cells) in enumerate(below):
             if with_units := table_header.with_units_below(headings, row, cells, kind):
                 source.read_as.append(f"row {row} holds the units")
@@ -100,12 +99,7 @@ def _read(
         raise InputError(
             f"has a header but no rows; add the {kind.content} below it (lines that begin with # are notes)"
         )
-    words_read: dict[str, str] = {}
-    texts = {
-        heading: _replace_words(own, kind.words(heading.column), words_read)
-        for heading, own in zip(headings, cells, strict=True)
-        if heading.column is not None
-    }
+    texts = {heading: own for heading, own in zip(headings, cells, strict=True) if heading.column is not None}
     if source.decimal_commas:
         texts = _without_commas(texts, at, kind)
     columns = {str(heading.column): _values(heading, own, at, kind, source) for heading, own in texts.items()}
@@ -114,7 +108,7 @@ def _read(
         for i, (heading, own) in enumerate(zip(headings, cells, strict=True), 1)
         if heading.column is None and (heading.text != table_header.nameless(i) or any(text.strip() for text in own))
     )
-    read_as = (*source.read_as, *_reading_notes(headings, unused, words_read))
+    read_as = (*source.read_as, *_reading_notes(headings, unused))
     unknown = tuple(heading for heading in unused if not {heading.text, heading.name} & set(given))
     described = {heading.text if heading.text in given else heading.name for heading in headings} & set(given)
     return Table(columns, source.row, at, source.notes, read_as, unknown, described)
@@ -139,17 +133,13 @@ def _values(heading: Heading, texts: list[str], rows: list[int], kind: Kind, sou
     return _numbers(column, rows, texts, heading.unit, kind)
 
 
-def _reading_notes(
-    headings: Sequence[Heading], unused: Sequence[Heading], words_read: Mapping[str, str]
-) -> Iterator[str]:
-    """How header and rows were read, where that is not obvious: renamed and unused columns, words read as numbers."""
+def _reading_notes(headings: Sequence[Heading], unused: Sequence[Heading]) -> Iterator[str]:
+    """How the header was read, where that is not obvious: renamed and unused columns."""
     renamed = [h for h in headings if h.column is not None and h.name != h.column]
     if renamed:
         yield "read as: " + ", ".join(f"{h.text!r} {h.column}" + (f" [{h.unit}]" if h.unit else "") for h in renamed)
     if unused:
         yield f"columns that are not used: {', '.join(short(heading.text) for heading in unused)}"
-    if words_read:
-        yield "words read as numbers: " + ", ".join(f"{word!r} {number}" for word, number in words_read.items())
 
 
 def _is_time(column: str, kind: Kind) -> bool:
@@ -175,14 +165,6 @@ def _cells_by_column(rows: Iterable[Row], headings: Sequence[Heading]) -> tuple[
     return at, [texts[column::width] for column in range(width)]
 
 
-def _replace_words(texts: list[str], words: Mapping[str, str], words_read: dict[str, str]) -> list[str]:
-    """The texts with numbers in place of words; the words are added to `words_read`."""
-    if not words:
-        return texts
-    words_read |= {text.strip(): words[text.strip().lower()] for text in texts if text.strip().lower() in words}
-    return [words.get(text.strip().lower(), text) for text in texts]
-
-
 def _without_commas(texts: Mapping[Heading, list[str]], rows: Sequence[int], kind: Kind) -> dict[Heading, list[str]]:
     """The texts with points in place of decimal commas; numbers with both marks are refused."""
     found, first = dict(texts), {}
@@ -204,6 +186,8 @@ def _without_commas(texts: Mapping[Heading, list[str]], rows: Sequence[int], kin
 
 def _numbers(column: str, rows: Sequence[int], texts: Sequence[str], unit: str | None, kind: Kind) -> np.ndarray:
     """A column of texts as numbers in SI units."""
+    words = kind.words(column)
+    texts = [words.get(text.strip().lower(), text) for text in texts] if words else texts
     if kind.gaps(column):
         texts = ["nan" if text.strip().lower() in _MISSING else text for text in texts]
     try:
@@ -212,7 +196,7 @@ def _numbers(column: str, rows: Sequence[int], texts: Sequence[str], unit: str |
         bad = next(i for i, text in enumerate(texts) if not is_number(text))
         text = texts[bad].strip()
         found = f"{short(text)} is not a number" if text else "the cell is empty"
-        remedy = f"write {', '.join(kind.words(column))}" if kind.words(column) else "give a number or remove the row"
+        remedy = f"write {', '.join(words)}" if words else "give a number or remove the row"
         if re.fullmatch(r"[+-]?\d+([,.'’\s]\d+)+", text):
             remedy = "write it with a decimal point and without thousands separators"
         raise InputError(f"row {rows[bad]}, column {column}: {found}; {remedy}") from None

@@ -79,13 +79,13 @@ def _unit_behind(text: str, dimension: Dimension | None) -> str | None:
     return name[2] if name and dimension and unit_fits(name[2], dimension) else None
 
 
-def headings_of(cells: list[str], row: int, kind: Kind, given: Mapping[str, str], numbers_below: bool) -> list[Heading]:
-    """The headings of all columns; without a known one there must be several names, or one above numbers."""
+def headings_of(cells: list[str], row: int, kind: Kind, given: Mapping[str, str]) -> list[Heading]:
+    """The headings of all columns; without a known one there must be several names."""
     while len(cells) > 1 and not cells[-1].strip():  # spreadsheets leave separators at the end
         cells = cells[:-1]
     headings = [heading_of(cell.strip() or nameless(i), kind, given) for i, cell in enumerate(cells, 1)]
-    one_text = len(cells) == 1 and not numbers_below
-    if not any(heading.column for heading in headings) and (one_text or all(map(is_number, filter(None, cells)))):
+    named = any(heading.column for heading in headings)
+    if not named and (len(cells) == 1 or all(map(is_number, filter(None, cells)))):
         remedy = f"write names and units such as {kind.example!r}, with commas, semicolons or tabs between columns"
         raise InputError(f"row {row}: {short(cells[0])} is no header (lines with # are notes); {remedy}")
     return headings
