@@ -14,22 +14,11 @@ def in_utf8(text: object) -> str:
 
 
 class InputError(ValueError):
-    """Input of a user or in a file cannot be used. The message is one line: "where: what; remedy".
+    """Input of a user or in a file cannot be used. The message is one line: "where: what; remedy"."""
 
-    Attributes:
-        what: what is wrong; it may end in the remedy.
-        where: the places, the outermost first, such as a file and a part of it.
-        remedy: what helps; "" if it is in `what`.
-    """
-
-    def __init__(self, what: str, *, where: str | tuple[str, ...] = (), remedy: str = ""):
-        self.what, self.remedy = what, remedy
-        self.where = (where,) if isinstance(where, str) else where
-        super().__init__(in_utf8(": ".join((*self.where, what)) + (f"; {remedy}" if remedy else "")))
-
-    def at(self, *where: str) -> "InputError":
-        """The same error with other places."""
-        return InputError(self.what, where=where, remedy=self.remedy)
+    def __init__(self, what: str, *, where: str = "", remedy: str = ""):
+        place = f"{where}: " if where else ""
+        super().__init__(in_utf8(f"{place}{what}; {remedy}" if remedy else f"{place}{what}"))
 
 
 Kind = type[Exception] | tuple[type[Exception], ...]
@@ -49,8 +38,7 @@ def within(place: str | os.PathLike[str], kind: Kind = InputError) -> Iterator[N
     try:
         yield
     except kind as error:
-        own = error if isinstance(error, InputError) else InputError(str(error))
-        raise own.at(str(place), *own.where) from None
+        raise InputError(str(error), where=str(place)) from None
 
 
 def known_names(name: str, known: Iterable[str]) -> str:

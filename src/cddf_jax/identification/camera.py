@@ -74,7 +74,7 @@ def check_reach(model: BenchModel, groups: Sequence[Group], free: Collection[str
         raise InputError(
             f"{point.what} is {1e3 * distance[i]:.0f} mm or more from the base, but a body of {1e3 * length:.0f} mm "
             f"reaches {1e3 * reach:.0f} mm ({len(far)} of {len(table)} rows)",
-            where=(f"{table.name}", f"{table.place(i)}, {', '.join(group.column for group in point.axes.values())}"),
+            where=f"{table.name}: {table.place(i)}, {', '.join(group.column for group in point.axes.values())}",
             remedy=f"check the unit, {single}or {_with_pose(free)}",
         )
 

@@ -46,7 +46,7 @@ def check_numbers(what: str, given: object) -> None:
     elif objection := _objection(given):
         (found, remedy), got = objection, " ".join(repr(given).split())
         got = got if len(got) <= _SHOWN else got[:_SHOWN] + "..."
-        raise InputError(f"{found} cannot be used, got {got}", where=what or (), remedy=remedy)
+        raise InputError(f"{found} cannot be used, got {got}", where=what, remedy=remedy)
 
 
 def check_whole(what: str, given: object, least: int) -> None:
