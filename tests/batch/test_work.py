@@ -102,18 +102,17 @@ def test_coordinates_of_samples_are_coordinates_in_the_store(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("sizes", "most", "single", "expected"),
+    ("sizes", "most", "expected"),
     [
-        ([10], 4, [False], (4,)),  # 4, 4, 2: three pieces of at most 4
-        ([9], 4, [False], (3,)),  # 3, 3, 3 rather than 4, 4, 1
-        ([6, 5], 10, [False, False], (2, 5)),
-        ([6, 50], 10, [False, False], (1, 10)),
-        ([6, 5, 2], 10, [False, False, True], (2, 5, 1)),
-        ([3, 2], 1000, [True, False], (1, 2)),
+        ([10], 4, (4,)),  # 4, 4, 2: three pieces of at most 4
+        ([9], 4, (3,)),  # 3, 3, 3 rather than 4, 4, 1
+        ([6, 5], 10, (2, 5)),
+        ([6, 50], 10, (1, 10)),
+        ([3, 2], 1000, (3, 2)),
     ],
 )
-def test_even_chunks(sizes, most, single, expected):
-    assert even_chunks(sizes, most, single) == expected
+def test_even_chunks(sizes, most, expected):
+    assert even_chunks(sizes, most) == expected
 
 
 def test_regions_tile_the_answer():

@@ -75,7 +75,7 @@ def test_a_line_and_what_is_not_sure():
     assert legend_of(figure) == ["hollow: doubtful, crossing", "at the foot: no number, locked"]
 
 
-def test_lines_of_options_and_tendons():
+def test_lines_of_labels_and_tendons():
     answer = answer_over({"kinematics": np.array(["published", "exact"]), "base_tension": TENSIONS}, tendons=2)
     figure = drawn(answer, ["tip_tension"])
     assert [axes.get_ylabel() for axes in figure.axes] == [f"Tip tension of tendon {i} (N)" for i in (1, 2)]
@@ -147,8 +147,11 @@ def test_an_output_that_does_not_change(value):
     [
         ({"kinematics": np.array(["published", "exact"])}, "no number varies along an axis of its own"),
         (dict.fromkeys("abcd", TENSIONS), "4 axes are too many for one figure; choose with xarray"),
-        ({"a": TENSIONS, "b": TENSIONS, "nodes": np.array([8, 16])}, "3 axes are too many for one figure; choose with"),
-        ({"a": TENSIONS, "nodes": np.arange(4, 12)}, "draw_lines: nodes varies too, with 8 values; choose one"),
+        (
+            {"a": TENSIONS, "b": TENSIONS, "batch": np.array(["x", "y"])},
+            "3 axes are too many for one figure; choose with",
+        ),
+        ({"a": TENSIONS, "batch": np.array([*"abcdefgh"])}, "draw_lines: batch varies too, with 8 values; choose one"),
     ],
 )
 def test_no_figure_and_why(axes, reason):

@@ -69,4 +69,4 @@ def test_what_is_refused():
     with pytest.raises(InputError, match=r"^sweep: .*'heading' is not an output in space; there are"):
         cddf.sweep(THREE, {"base_tension": [5.0]}, outputs=("heading",))
     with pytest.raises(InputError, match=r"^sweep: .*the published kinematics are those of the plane"):
-        cddf.sweep(THREE, {"kinematics": ["published"]}, 5.0)
+        cddf.sweep(paper_body(), {"base_tension": [5.0]}, loads=cddf.Loads(tip_force=(0.0, 0.0, 1.0)))

@@ -69,14 +69,11 @@ def count(region: Region) -> int:
     return math.prod(places.stop - places.start for places in region.values())
 
 
-def even_chunks(sizes: Sequence[int], most: int, single: Sequence[bool]) -> tuple[int, ...]:
-    """Chunks of nearly equal size with no more than `most` items; the last dimensions are not divided if possible.
-
-    `single` says of each dimension whether a chunk has the length 1 along it.
-    """
+def even_chunks(sizes: Sequence[int], most: int) -> tuple[int, ...]:
+    """Chunks of nearly equal size with no more than `most` items; the last dimensions are not divided if possible."""
     chunks: list[int] = []
-    for size, alone in zip(reversed(sizes), reversed(single), strict=True):
-        longest = 1 if alone else max(most // math.prod(chunks), 1)
+    for size in reversed(sizes):
+        longest = max(most // math.prod(chunks), 1)
         chunks.append(-(-size // -(-size // longest)))
     return tuple(reversed(chunks))
 

@@ -53,7 +53,7 @@ Over = Annotated[
     list[str] | None,
     typer.Option(
         help='What varies: first, last and number of values, as in "base_tension=5N:85N:17", or a list of values or '
-        'ranges, as in "kinematics=published,exact" or "youngs_modulus=1.2 MPa, 1.4 MPa". Repeated: every combination. '
+        'ranges, as in "youngs_modulus=1.2 MPa, 1.4 MPa". Repeated: every combination. '
         "Any number has a name: outer_radius.tip, tendons.0.offset, loads.tip_force.1, base_tension_2, of a target "
         "base_tension.value. "
         "With the length everything along the body varies in proportion."
@@ -134,8 +134,6 @@ def sweep(
     The figure shows outputs over one axis, with a line for each value of the others, or over two. Solves that fail are
     counted and marked.
     """
-    if kinematics is not None and any(text.partition("=")[0].strip() == "kinematics" for text in over or []):
-        raise InputError("kinematics is given by --kinematics and varies too; leave one out")
     with stage("loading"):
         _configure(distributed=distributed)
         from ..reports import sweep_report

@@ -17,7 +17,7 @@ from matplotlib.patheffects import withStroke
 from ..errors import InputError
 from ..quantities import QUANTITIES
 from ..statics.status import Status
-from ..sweeping.axes import OPTIONS, PATH
+from ..sweeping.axes import PATH
 from ..sweeping.one_solve import COMPONENTS, RESULT
 from ..units import DIMENSION_OF, preferred
 from . import looks, style as draw
@@ -137,7 +137,7 @@ def sweep_figure(answer: "xarray.Dataset", outputs: Sequence[str]) -> Figure:
     """
     answer = answer.drop_dims("point", errors="ignore").squeeze(drop=True)
     dims = [str(dimension) for dimension in answer[RESULT].dims]
-    over, path = [name for name in dims if name in answer.coords and name not in OPTIONS], answer.attrs.get(PATH)
+    over, path = [name for name in dims if name in varying_numbers(answer)], answer.attrs.get(PATH)
     if path in dims:
         if path not in over:
             raise InputError(f"several numbers vary along the path {path}; draw_lines draws an output over one of them")
@@ -245,7 +245,7 @@ def value_words(coordinate: "xarray.DataArray", place: int) -> str:
     name, value = str(coordinate.name), coordinate.values[place]
     if name in PARTS:
         return PARTS[name](value).removeprefix("of ")
-    if name in OPTIONS or "words" not in coordinate.attrs:
+    if "words" not in coordinate.attrs:
         return f"{value} {name}"
     words = f"{coordinate.attrs['words']} = {value:.4g} {coordinate.attrs['unit']}"
     return words.strip().replace("-", "\N{MINUS SIGN}")

@@ -12,7 +12,6 @@ from ..statics.named_numbers import holds
 if TYPE_CHECKING:
     from scipy.stats.qmc import QMCEngine
 
-OPTIONS = ("nodes", "kinematics")  # each value has its own program
 PATH = "path"  # the attribute of a dataset that names the dimension whose base tensions were traced in their order
 ALONG_A_PATH = ("base_tension", "loads.")  # how the names of numbers begin that may vary along it
 Ranges = Mapping[str, tuple[float, float]]
@@ -24,11 +23,10 @@ class Dimension(NamedTuple):
 
     name: str
     numbers: dict[str, np.ndarray]  # by the name of a number of the case
-    options: dict[str, tuple[int | str, ...]]
 
     @property
     def size(self) -> int:
-        return len(next(iter((self.numbers | self.options).values())))
+        return len(next(iter(self.numbers.values())))
 
 
 def dimensions_of(axes: object) -> tuple[Dimension, ...]:
@@ -36,7 +34,7 @@ def dimensions_of(axes: object) -> tuple[Dimension, ...]:
     if not isinstance(axes, Mapping) or not axes:
         raise InputError('sweep: axes must be a dictionary such as {"base_tension": values}, with one axis or more')
     found = tuple(_dimension(name, values) for name, values in axes.items())
-    names = [name for dimension in found for name in (*dimension.numbers, *dimension.options)]
+    names = [name for dimension in found for name in dimension.numbers]
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"sweep: {name!r} varies along two axes; let it vary along one")
@@ -52,13 +50,12 @@ def _dimension(name: object, values: object) -> Dimension:
     together = values if isinstance(values, Mapping) else {name: values}
     if not together:
         raise InputError(f"sweep: nothing varies along the axis {name!r}; give names and values")
-    options = {key: _options(key, given) for key, given in together.items() if key in OPTIONS}
-    numbers = {key: _numbers(key, given) for key, given in together.items() if key not in OPTIONS}
-    sizes = {key: len(given) for key, given in (numbers | options).items()}
+    numbers = {key: _numbers(key, given) for key, given in together.items()}
+    sizes = {key: len(given) for key, given in numbers.items()}
     if len(set(sizes.values())) > 1:
         got = ", ".join(f"{key} {size}" for key, size in sizes.items())
         raise InputError(f"sweep: what varies together along {name!r} must have one length, got {got}")
-    return Dimension(name, numbers, options)
+    return Dimension(name, numbers)
 
 
 def _numbers(name: str, given: object) -> np.ndarray:
@@ -72,14 +69,6 @@ def _numbers(name: str, given: object) -> np.ndarray:
     if not np.all(np.isfinite(values)):
         place = int(np.argmin(np.isfinite(values)))
         raise InputError(f"sweep: the axis {name!r} holds {values[place]} at place {place}; leave it out")
-    return values
-
-
-def _options(name: str, given: object) -> tuple[object, ...]:
-    values = tuple(given) if isinstance(given, list | tuple | np.ndarray | range) else ()
-    values = tuple(value.item() if isinstance(value, np.generic) else value for value in values)
-    if not values:
-        raise InputError(f"sweep: the axis {name!r} must be a list of one value or more, got {given!r}")
     return values
 
 

@@ -103,8 +103,6 @@ def coordinates(
     for dimension in dimensions:
         for name, values in dimension.numbers.items():
             coords[name] = (dimension.name, values, {"units": units[name]})
-        for name, values in dimension.options.items():
-            coords[name] = (dimension.name, [*values])
     own = {
         "tendon": (np.arange(sizes.get("tendon", 0)), {"long_name": "place among the tendons"}),
         "component": ([*COMPONENTS[: sizes.get("component")]], {}),

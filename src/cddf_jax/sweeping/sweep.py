@@ -26,7 +26,7 @@ from ..statics.arguments import refuse_batch
 from ..statics.named_numbers import Case, holds, of_tendon, stem_and_tendon
 from ..statics.targets import Actuation, Target, TipPosition
 from . import one_solve
-from .axes import ALONG_A_PATH, OPTIONS, PATH, Dimension, dimensions_of
+from .axes import ALONG_A_PATH, PATH, Dimension, dimensions_of
 from .one_solve import RESULT, SUCCESSFUL, OneSolve, slope_name
 
 if TYPE_CHECKING:
@@ -61,8 +61,7 @@ def sweep(
         axes: by dimension of the dataset. Either the name of a number and its values, {"base_tension": values}, or any
             other name and several numbers that vary together along it, {"sample": latin_hypercube(...)}. The dimensions
             are combined with each other. A name is the path to a number: "base_tension", "youngs_modulus",
-            "outer_radius.tip", "tendons.0.offset", "loads.tip_force.1", "base_tension_2", and the options "nodes",
-            "kinematics". SI units.
+            "outer_radius.tip", "tendons.0.offset", "loads.tip_force.1", "base_tension_2". SI units.
         base_tension, loads, direction, nodes: as `solve` takes them, if no axis names them.
         history: take the base tensions along their axis as a path in time, N, from rest: tendons are pulled and
             released in their order, by `trace`, for each combination of the other axes. Several tendons, and loads that
@@ -180,7 +179,7 @@ class Sweep:
         usual = min(CHUNK_IN_INCREMENTS if self.in_increments else CHUNK, int(at_once) * self.steps)
         most = max((self.chunk_size or usual) // self.steps, 1)
         sizes = [1 if d is self.path else d.size for d in self.dimensions]
-        chunks = even_chunks(sizes, most, [bool(d.options) for d in self.dimensions])
+        chunks = even_chunks(sizes, most)
         whole = {d.name: d.size if d is self.path else c for d, c in zip(self.dimensions, chunks, strict=True)}
         return replace(layout, chunks=whole)
 
@@ -215,25 +214,21 @@ class Sweep:
         # name, output and the number that it is differentiated by, in the order of the answer
         wanted = [(slope_name(n, by) if by else n, n, by) for n in self.outputs for by in ("", *self.sensitivities)]
         wanted += [(SUCCESSFUL, SUCCESSFUL, ""), (RESULT, RESULT, "")]
-        for index in np.ndindex(*(d.size if d.options else 1 for d in self.dimensions)):
-            shapes = self._shapes(dict(zip(sizes, index, strict=True)))
-            for name, output, by in (entry for entry in wanted if entry[0] in shapes):  # only what is real has slopes
-                own, dtype = shapes[name]
-                dims = (*sizes, *known.get(output, ()))
-                attrs = one_solve.attributes(output, by, self.case.unit(by) if by else "")
-                new = dims, not_computed((*sizes.values(), *own), dtype), attrs
-                if arrays.setdefault(name, new)[1].shape != new[1].shape:
-                    raise InputError(f"sweep: the length of {name} changes with the nodes; sweep 'nodes' without it")
+        shapes = self._shapes()
+        for name, output, by in (entry for entry in wanted if entry[0] in shapes):  # only what is real has slopes
+            own, dtype = shapes[name]
+            attrs = one_solve.attributes(output, by, self.case.unit(by) if by else "")
+            arrays[name] = (*sizes, *known.get(output, ())), not_computed((*sizes.values(), *own), dtype), attrs
         units = {name: self.case.unit(name) for dimension in self.dimensions for name in dimension.numbers}
         attrs = {"title": "cddf_jax sweep", "cddf_jax": version("cddf_jax"), "precision": self.dtype.name}
         empty = needed("xarray").Dataset(arrays, attrs=attrs | ({PATH: self.path.name} if self.path else {}))
         return empty.assign_coords(one_solve.coordinates(self.dimensions, units, empty.sizes))
 
-    def _shapes(self, index: Mapping[str, int]) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
-        """Shape and type of each output of one solve, or of one step of a path, with the options at `index`."""
+    def _shapes(self) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
+        """Shape and type of each output of one solve, or of one step of a path."""
         inputs = {n: np.zeros((), self.dtype) for d in self.dimensions if d is not self.path for n in d.numbers}
         with within("sweep", (ValueError, TypeError)):
-            found = jax.eval_shape(self.solver(index), inputs)
+            found = jax.eval_shape(self.solver(), inputs)
         first = 0 if self.path is None else 1  # the steps are a dimension of the sweep
         return {name: (x.shape[first:], np.dtype(x.dtype)) for name, x in found.items()}
 
@@ -243,7 +238,7 @@ class Sweep:
         body = self.case.manipulator
         # for profiles that are functions, without leaves; so closely that also a step elsewhere is another profile
         along = np.linspace(0.0, float(np.asarray(body.length)), 10_001)
-        axes = {f"axis {d.name}": {k: recorded(v) for k, v in (d.numbers | d.options).items()} for d in self.dimensions}
+        axes = {f"axis {d.name}": {k: recorded(v) for k, v in d.numbers.items()} for d in self.dimensions}
         return {
             **numbers_of(self.case),
             **axes,
@@ -260,16 +255,12 @@ class Sweep:
             "version of cddf_jax": version("cddf_jax"),
         }
 
-    def solver(self, index: Mapping[str, int]) -> OneSolve:
-        """One solve as a function of the numbers that vary, with the options at `index` along the dimensions."""
-        chosen = {name: values[index[d.name]] for d in self.dimensions for name, values in d.options.items()}
-        kinematics = str(chosen.pop("kinematics", self.manipulator.kinematics))
-        with within("sweep", ValueError):  # published kinematics are those of the plane
-            case = replace(self.case, manipulator=replace(self.manipulator, kinematics=kinematics))
-        case = jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float | np.ndarray) else leaf, case)
+    def solver(self) -> OneSolve:
+        """One solve as a function of the numbers that vary."""
+        numbers = float, np.ndarray
+        case = jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, numbers) else leaf, self.case)
         path = None if self.path is None else jax.tree.map(jnp.asarray, self.path.numbers)
-        one = OneSolve(case, path, self.outputs, self.sensitivities, self.nodes, self.short_steps)
-        return replace(one, **chosen)
+        return OneSolve(case, path, self.outputs, self.sensitivities, self.nodes, self.short_steps)
 
     # --- running ------------------------------------------------------------------------------------
 
@@ -287,8 +278,7 @@ class Sweep:
             for axis, place in zip(axes, places, strict=True)
             for name, values in axis.numbers.items()
         }
-        solver = self.solver({name: along.start for name, along in region.items()})
-        found = in_lanes(solver, numbers, math.prod(sizes), layout.chunk_size // self.steps, self.steps)
+        found = in_lanes(self.solver(), numbers, math.prod(sizes), layout.chunk_size // self.steps, self.steps)
         shaped = {name: np.reshape(x, (*sizes, *x.shape[1:])) for name, x in found.items()}
         if self.path is None:
             return shaped
@@ -310,11 +300,10 @@ def _check_history(work: Sweep) -> None:
             f"sweep: base tensions vary along {which}; give as history the name of the axis that is the path "
             "(--history)"
         )
-    along = (*work.path.numbers, *work.path.options)
-    beside = [name for name in along if not name.startswith(ALONG_A_PATH) or name.endswith(".arc_length")]
+    beside = [name for name in work.path.numbers if not name.startswith(ALONG_A_PATH) or name.endswith(".arc_length")]
     if beside:
         raise InputError(f"sweep: only base tensions and loads vary along a path, not {beside[0]}; give it an axis")
-    numbers = {name for d in work.dimensions for name in (*d.numbers, *d.options)}
+    numbers = {name for dimension in work.dimensions for name in dimension.numbers}
     others = [] if work.direction is None else ["direction"]
     others += [name for name in numbers if name.startswith("direction")]
     others += [name for name in work.sensitivities if name.startswith(ALONG_A_PATH)]
@@ -351,7 +340,7 @@ def _check(work: Sweep) -> None:
     if case.base_tension is None and "base_tension" not in swept:
         raise InputError("sweep: base_tension is neither given nor an axis; give one of the two")
     for name in work.sensitivities:
-        if name in OPTIONS or stem_and_tendon(name)[0] == "direction":
+        if stem_and_tendon(name)[0] == "direction":
             raise InputError(f"sweep: nothing can be differentiated by {name!r}; take it out of the sensitivities")
         if case.number(name) is None and name not in swept:
             raise InputError(f"sweep: the case has no {name!r} to differentiate by; give it a value")
