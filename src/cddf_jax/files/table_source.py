@@ -76,11 +76,14 @@ def _of_text(content: bytes, recognised: Recognised) -> Source | None:
     tables = {
         mark: [(i, [cell.strip(_BLANK + "#") for cell in lines[i].split(mark)]) for i in looked_at] for mark in marks
     }
-    known = {mark: _known_header(rows, recognised) for mark, rows in tables.items()}
-    words = {mark: _above_numbers(rows[len(note) :]) for mark, rows in tables.items()}
-    of_names = max(marks, key=lambda mark: (known[mark][0], mark in lines[looked_at[known[mark][1]]]))
-    mark = of_names if known[of_names][0] else max(marks, key=lambda mark: words[mark][0])
-    at = looked_at[known[mark][1]] if known[mark][0] else filled[words[mark][1]]
+    found = {mark: _header_in(rows, recognised) for mark, rows in tables.items()}
+
+    def goodness(mark: str) -> tuple[int, int]:
+        known, own, numbers = found[mark]
+        return known, mark in lines[looked_at[own]] if known else numbers
+
+    mark = max(marks, key=goodness)
+    at = looked_at[found[mark][1]]
     notes = [line.strip(_BLANK).lstrip("#").strip() for line in lines[:at] if line.strip(_BLANK)]
     if filled[0] < at:
         read_as.append(f"the header is row {at + 1}; the text above it from row {filled[0] + 1} on is taken for notes")
@@ -104,8 +107,12 @@ def _decoded(content: bytes) -> tuple[str, list[str]]:
     return text, read_as
 
 
-def _known_header(rows: Sequence[Row], recognised: Recognised) -> tuple[int, int]:
-    """The largest number of known columns in a row, and the index of this row; of equal rows the last above numbers."""
+def _header_in(rows: Sequence[Row], recognised: Recognised) -> tuple[int, int, int]:
+    """How many columns of the header are known, its index, and how many numbers stand below the last row of words.
+
+    It is the row with most known columns, of equal ones the last above numbers. Without a known column it is the
+    fullest of the last three rows above the numbers, the uppermost of equal ones: units stand below it.
+    """
     most, at, numbers_below = 0, 0, False
     for i, (_, cells) in enumerate(rows):
         numbers, words = _numbers_and_words(cells)
@@ -115,19 +122,10 @@ def _known_header(rows: Sequence[Row], recognised: Recognised) -> tuple[int, int
         if known > most or (known == most and known and not numbers_below):
             most, at, numbers_below = known, i, False
         numbers_below = numbers_below or (known < most and numbers > 0)
-    return most, at
-
-
-def _above_numbers(rows: Sequence[Row]) -> tuple[int, int]:
-    """How many numbers stand below the last row of words, and the index of the header there.
-
-    The header is the fullest of the last three rows above the numbers, the uppermost of equal ones: units stand below
-    it.
-    """
     counted = [_numbers_and_words(cells) for _, cells in rows]
     first = 1 + max((i for i, (numbers, words) in enumerate(counted) if numbers <= words / 2), default=-1)
-    header = max(range(max(first - 3, 0), first), key=lambda i: sum(counted[i]), default=0)
-    return sum(numbers for numbers, _ in counted[first:]), header
+    names = max(range(max(first - 3, 0), first), key=lambda i: sum(counted[i]), default=0)
+    return most, at if most else names, sum(numbers for numbers, _ in counted[first:])
 
 
 def _numbers_and_words(cells: Sequence[str]) -> tuple[int, int]:
@@ -154,23 +152,21 @@ def _rows(lines: Sequence[str], above: int, separator: str) -> Iterator[Row]:
 def _of_sheets(content: bytes, recognised: Recognised) -> Source | None:
     """The one sheet that holds a table."""
     sheets = {name: rows for name, rows in _sheets(content).items() if rows}
-    found = {name: _known_header(rows[:_LOOKED_AT], recognised) for name, rows in sheets.items()}
-    tables = [name for name, (count, _) in found.items() if count] or list(sheets)[:1]
+    found = {name: _header_in(rows[:_LOOKED_AT], recognised) for name, rows in sheets.items()}
+    tables = [name for name, (known, *_) in found.items() if known] or list(sheets)[:1]
     if len(tables) > 1:
         raise InputError(f"holds tables in the sheets {', '.join(map(repr, tables))}; save each in a file of its own")
     if not tables:
         return None
     name, read_as = tables[0], []
-    known, at = found[name]
-    at = at if known else _above_numbers(sheets[name][:_LOOKED_AT])[1]
+    at = found[name][1]
     if others := [repr(other) for other in sheets if other != name]:
         read_as.append(f"the sheet {name!r} is read; not used: {', '.join(others)}")
     above, (row, header), below = sheets[name][:at], sheets[name][at], sheets[name][at + 1 :]
     notes = tuple(" ".join(cell for cell in cells if cell).lstrip("#").strip() for _, cells in above)
-    if head := [number for number, cells in above if not _COMMENT.match(_first(cells))]:
-        read_as.append(f"the header is row {row}; the text above it from row {head[0]} on is taken for notes")
-    rows = ((number, cells) for number, cells in below if not _COMMENT.match(_first(cells)))
-    return Source(row, header, rows, notes, True, read_as)
+    if above:
+        read_as.append(f"the header is row {row}; the text above it from row {above[0][0]} on is taken for notes")
+    return Source(row, header, iter(below), notes, True, read_as)
 
 
 def _sheets(content: bytes) -> dict[str, list[Row]]:
@@ -214,7 +210,3 @@ def _texts(values: Any, formulas: Any, nothing: Collection[object]) -> list[list
 def _text(value: object) -> str:
     value = getattr(value, "text", value)  # of a formula that fills several cells
     return "" if value is None else repr(value) if isinstance(value, float) else str(value).strip()
-
-
-def _first(cells: Sequence[str]) -> str:
-    return next((cell for cell in cells if cell), "")
