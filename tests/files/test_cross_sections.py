@@ -142,8 +142,8 @@ def test_a_repeated_arc_length_is_a_step_at_which_panels_end(read):
     np.testing.assert_array_equal(outer.breakpoints, [0.06, 0.13])
     np.testing.assert_allclose(outer(both_sides), 1e-3 * np.array([2, 1.8, 1.8, 1.6]))
     assert type(sections.tendons[0].offset) is cddf.Constant
-    pieces = "constant 2 mm, constant 1.8 mm, constant 1.6 mm"
-    assert sections.columns["outer_radius"] == f"3 pieces that meet in steps: {pieces}"
+    said = "2 mm at the base, 1.6 mm at s = 200 mm (Piecewise, from 1.6 mm to 2 mm)"
+    assert sections.columns["outer_radius"] == said
 
 
 def test_steps_between_slants_and_curves():
@@ -170,7 +170,7 @@ def test_the_turns_of_an_offset_are_said(tmp_path):
     turned = np.degrees(19 * 2 * np.arctan(0.02 / 2))
     said = cddf.read_cross_sections(path).columns["offset_1"]
     assert f"whose kinks turn the tendon by {turned:.3g} deg in all" in said
-    assert cddf.read_cross_sections(path, tolerance=2e-5).columns["offset_1"] == "constant 10 mm"
+    assert cddf.read_cross_sections(path, tolerance=2e-5).columns["offset_1"] == "10 mm"
 
 
 def test_solve_says_what_was_read(cddf_command, tmp_path):
@@ -180,8 +180,8 @@ def test_solve_says_what_was_read(cddf_command, tmp_path):
     (tmp_path / "robot.toml").write_text(robot + "offsets_outside_wall = true\n")
     code, out, err = cddf_command("solve", tmp_path / "robot.toml", "-t", "20 N")
     assert (code, "78.415 deg" in out) == (0, True)
-    outer, inner = "outer_radius: straight lines through 6 points", "inner_radius: constant 0 mm"
-    assert f"note: cross-sections: {outer}; {inner}; offset_1: constant 6 mm" in err.splitlines()
+    outer = "outer_radius: 2 mm at the base, 1.6 mm at s = 200 mm (Polyline, from 1.6 mm to 2 mm)"
+    assert f"note: cross-sections: {outer}; inner_radius: 0 mm; offset_1: 6 mm" in err.splitlines()
 
 
 def test_scattered_points_are_refused_with_the_remedy():

@@ -25,7 +25,7 @@ import numpy as np
 
 from ..errors import InputError, within
 from ..robot.manipulator import Manipulator, Tendon
-from ..robot.profiles import Constant, Piecewise, Polyline, Profile, Spline
+from ..robot.profiles import Polyline, Profile, profile_in_words
 from ..units import shown
 from .csv_table import read_table, table_csv
 from .simplest_profile import simplest_profile
@@ -44,7 +44,7 @@ class CrossSections(NamedTuple):
     outer_radius: Profile
     inner_radius: Profile
     tendons: tuple[Tendon, ...]
-    columns: dict[str, str]  # how each was read, such as "constant 7 mm"
+    columns: dict[str, str]  # how each was read, as `print` shows a profile
 
     @property
     def body(self) -> dict[str, Any]:
@@ -81,28 +81,14 @@ def in_one_line(columns: Mapping[str, str]) -> str:
     return f"cross-sections: {'; '.join(f'{name}: {words}' for name, words in columns.items())}"
 
 
-def _column_in_words(name: str, profile: Profile) -> str:
-    """The profile that was taken; for an offset of straight lines also how far they turn the tendon, which rubs."""
-    said = _in_words(profile)
-    if not (name.startswith("offset") and isinstance(profile, Polyline)):
+def _offset_in_words(profile: Profile, end: float) -> str:
+    """The profile that was taken; of straight lines also how far they turn the tendon, which rubs."""
+    said = profile_in_words(profile, end)
+    if not isinstance(profile, Polyline):
         return said
     angle = np.arctan(np.diff(profile.values) / np.diff(profile.arc_length))
     turned = np.degrees(np.sum(np.abs(np.diff(angle))))
     return f"{said}, whose kinks turn the tendon by {turned:.3g} deg in all"
-
-
-def _in_words(profile: Profile) -> str:
-    match profile:
-        case Constant():
-            return f"constant {shown(profile.value, 'length')}"
-        case Spline():
-            return f"a smooth curve, a cubic spline of {len(profile.values)} knots"
-        case Polyline() if len(profile.values) > 2:
-            return f"straight lines through {len(profile.values)} points"
-        case Piecewise():
-            pieces = ", ".join(map(_in_words, profile.pieces))
-            return f"{len(profile.pieces)} pieces that meet in steps: {pieces}"
-    return "a straight line"
 
 
 def cross_sections_csv(manipulator: Manipulator) -> str:
@@ -152,6 +138,7 @@ def _sections(columns: dict[str, np.ndarray], rows: list[int], tolerance: float)
     s = _arc_length(columns["arc_length"], rows)
     names, tendons = _offset_columns(columns), []
     profiles = {name: _profile(name, s, columns[name], tolerance) for name in ("outer_radius", "inner_radius")}
+    said = {name: profile_in_words(profile, s[-1]) for name, profile in profiles.items()}
     for name in names:
         side, count = _side_and_count(columns[name], rows, name)
         distance = side * columns[name][:count]
@@ -159,8 +146,8 @@ def _sections(columns: dict[str, np.ndarray], rows: list[int], tolerance: float)
             remedy = "fill one of the two cells there"
             raise InputError(f"row {rows[count - 1]}, column {name}: the tendon ends in a step; {remedy}")
         profiles[name] = _profile(name, s[:count], distance, tolerance)
+        said[name] = _offset_in_words(profiles[name], s[count - 1])
         tendons.append(Tendon(profiles[name], side, end=None if s[count - 1] == s[-1] else float(s[count - 1])))
-    said = {name: _column_in_words(name, profile) for name, profile in profiles.items()}
     return CrossSections(float(s[-1]), profiles["outer_radius"], profiles["inner_radius"], tuple(tendons), said)
 
 
