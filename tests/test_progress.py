@@ -51,13 +51,13 @@ def test_stages_in_order(at, lines):
     assert lines == ["2 s: loading\n", "4 s: searching\n", "7 s: searching: compiling\n", "11 s: searching\n"]
 
 
-def test_what_is_counted_has_a_rate_and_an_end(at, lines):
+def test_what_is_counted_has_an_end(at, lines):
     """A store holds 400 of 1,000 solves; 200 more take 4 s: 50 a second, and 8 s for the other 400."""
     with stage("solving", 1000, 400) as now:
         at(2.0)
         now.done = 600
         at(4.0)
-    assert lines == ["2 s: solving 401 of 1,000\n", "4 s: solving 601 of 1,000, 50/s, 0:00:08 left\n"]
+    assert lines == ["2 s: solving 401 of 1,000\n", "4 s: solving 601 of 1,000, 0:00:08 left\n"]
 
 
 def test_one_after_the_other(at, lines):

@@ -27,15 +27,14 @@ class Stage:
     begun: float  # s, of the clock
 
     def in_words(self, now: float) -> str:
-        """The stage with the present item, the items per second, and the time that the others will take."""
+        """The stage with the present item, and the time that the others will take."""
         if self.total in (None, 1):
             return self.what
         words = f"{self.what} {min(self.done + 1, self.total):,} of {self.total:,}"
         if self.done == self.before:
             return words
         rate = (self.done - self.before) / max(now - self.begun, TICK)
-        speed = f", {rate:,.0f}/s" if rate >= 10 else ""
-        return f"{words}{speed}, {timedelta(seconds=round((self.total - self.done) / rate))} left"
+        return f"{words}, {timedelta(seconds=round((self.total - self.done) / rate))} left"
 
 
 class Stages:
