@@ -64,7 +64,7 @@ def test_a_place_of_the_tip_with_limits():
         ("", "base_tension is not a number, got ''; write for example '12.5 N'"),
         ("-5 N", "base_tension '-5 N': a tendon cannot push; give 0 N or more"),
         ("tip_angle=45", "base_tension tip_angle needs a unit of angle, got '45'; write for example '12.5 deg'"),
-        ("tip_angle 45 deg", "'tip_angle 45 deg': write a target with = as in 'tip_angle=12 deg'"),
+        ("tip_angle 45 deg", "base_tension is not a number, got 'tip_angle 45 deg'; write for example '12.5 N'"),
         ("tip-angle=45 deg", "'tip-angle=45 deg': unknown target 'tip-angle'; did you mean tip_angle?"),
         ("mu=0.4", "'mu=0.4': unknown target 'mu'; known are displacement, tip_angle, tip_tension, curvature, "),
         ("tip_position=0.1 m", "base_tension tip_position needs two components X, Y, or three in space, got '0.1 m'"),

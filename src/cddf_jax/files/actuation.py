@@ -17,7 +17,7 @@ from ..statics.targets import (
     TipTension,
     TotalTension,
 )
-from ..units import preferred, quantity, shown, vector
+from ..units import quantity, shown, vector
 
 Entry = TypeVar("Entry")
 TARGETS: dict[str, Callable[..., object]] = {
@@ -63,11 +63,9 @@ def read_directions(given: Sequence[object] | None, manipulator: Manipulator) ->
 
 def _entry(name: str, text: str, manipulator: Manipulator) -> float | Target:
     kind, equals, value = (part.strip() for part in text.partition("="))
-    first, where = kind.split(" ")[0], f"{name} {text!r}"
+    where = f"{name} {text!r}"
     if equals:
         entry = _target(name, where, kind, value, manipulator)
-    elif first in TARGETS:
-        raise InputError(f"write a target with = as in {_example(first)!r}", where=where)
     else:
         kind, entry = "base_tension", quantity(text, "force", name)
     wanted = entry.value if isinstance(entry, Target) else entry
@@ -76,11 +74,6 @@ def _entry(name: str, text: str, manipulator: Manipulator) -> float | Target:
     if kind == "tip_stiffness" and wanted <= 0:
         raise InputError("a stiffness is positive; give more than 0 N/m", where=where)
     return entry
-
-
-def _example(kind: str) -> str:
-    place = " at 70 mm" if kind == "curvature" else ""
-    return f"{kind}=12 {preferred(dimension_of(kind))[1]}{place}"
 
 
 def _place(name: str, text: str, manipulator: Manipulator) -> TipPosition:
@@ -106,7 +99,7 @@ def _target(name: str, where: str, kind: str, value: str, manipulator: Manipulat
         return cast(Target, TARGETS[kind](quantity(value, dimension_of(kind), f"{name} {kind}")))
     curvature, at, place = (part.strip() for part in value.partition(" at "))
     if not at:
-        raise InputError(f"say where the curvature is wanted as in {_example(kind)!r}", where=where)
+        raise InputError("say where the curvature is wanted as in 'curvature=12 1/m at 70 mm'", where=where)
     arc_length = quantity(place, "length", f"{name} curvature at")
     if not 0 <= arc_length <= float(manipulator.length):
         remedy = f"give an arc length from 0 mm to {shown(manipulator.length, 'length')}"
