@@ -12,6 +12,8 @@ import os
 import re
 import zipfile
 from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import suppress
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..errors import InputError, needed
@@ -26,7 +28,6 @@ _ENOUGH = 2  # columns that are enough to recognise a header
 _COMMENT = re.compile(r'[ \t"]*#(?!N/A|DIV/0!|REF!|VALUE!|NAME\?|NUM!|NULL!)', re.I)  # not an error of a spreadsheet
 _CONTROL = re.compile("[\x00-\x08\x0e-\x1f]")  # characters that no text holds
 _ZIP, _OLD_SPREADSHEET = b"PK\x03\x04", b"\xd0\xcf\x11\xe0"
-_NO_TEXT = "is not text in UTF-8, UTF-16 or Latin-1; save it as CSV UTF-8"
 
 
 class Source(NamedTuple):
@@ -47,8 +48,7 @@ def open_table(path: str | os.PathLike[str], recognised: Recognised, empty: str)
     file without any text.
     """
     try:
-        with open(path, "rb") as file:
-            content = file.read()
+        content = Path(path).read_bytes()
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror}); check the path") from None
     if content.startswith(_OLD_SPREADSHEET):
@@ -92,19 +92,15 @@ def _of_text(content: bytes, recognised: Recognised) -> Source | None:
 
 
 def _decoded(content: bytes) -> tuple[str, list[str]]:
-    read_as = []
-    try:
-        marked = content[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)  # "Unicode text" of spreadsheets
-        text = content.decode("utf-16" if marked else "utf-8-sig")
-    except UnicodeDecodeError:
-        try:
-            text = content.decode("cp1252")
-        except UnicodeDecodeError:
-            raise InputError(_NO_TEXT) from None
-        read_as.append("the file is not UTF-8; it was read as Windows-1252 (Latin-1)")
-    if _CONTROL.search(text):
-        raise InputError(_NO_TEXT)
-    return text, read_as
+    """The text, and how it was read if not as UTF-8 or UTF-16."""
+    marked = content[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)  # "Unicode text" of spreadsheets
+    other = ["the file is not UTF-8; it was read as Windows-1252 (Latin-1)"]
+    for encoding, read_as in (("utf-16" if marked else "utf-8-sig", []), ("cp1252", other)):
+        with suppress(UnicodeDecodeError):
+            text = content.decode(encoding)
+            if not _CONTROL.search(text):
+                return text, read_as
+    raise InputError("is not text in UTF-8, UTF-16 or Latin-1; save it as CSV UTF-8")
 
 
 def _header_in(rows: Sequence[Row], recognised: Recognised) -> tuple[int, int, int]:
