@@ -1,6 +1,6 @@
 """Sweeps as tables, written complete or not at all."""
 
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Hashable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,13 +27,16 @@ def write_csv(answer: "xarray.Dataset", path: Path) -> None:
 
 
 def _columns(answer: "xarray.Dataset") -> dict[str, np.ndarray]:
-    """The columns of a table, by their heads."""
+    """The columns of a table, by their heads: "tip_position.X" or "tip_tension_2", a single number without an end."""
     result = answer[RESULT]
     columns = {str(name): answer[name] for axis in result.dims for name in _along(axis, answer)}
     for name, array in answer.data_vars.items():
         if is_short(array) and name not in VERDICTS:
-            labels = labelled(str(name), array.dims[result.ndim :], array.shape[result.ndim :])
-            columns |= {label: array[(..., *place)] for place, label in labels}
+            own = list(zip(array.dims, array.shape, strict=True))[result.ndim :]
+            for place in np.ndindex(*(size for _, size in own)):
+                parts = ((str(dim), i) for (dim, size), i in zip(own, place, strict=True) if size > 1)
+                ends = (f".{LABELS[dim][i]}" if dim in LABELS else of_tendon("", i) for dim, i in parts)
+                columns["".join([str(name), *ends])] = array[(..., *place)]
     heads = {name: f"{name} [{unit}]" for name, c in columns.items() if (unit := c.attrs.get("units", "1")) != "1"}
     every = {heads.get(name, name): c.broadcast_like(result).transpose(*result.dims) for name, c in columns.items()}
     named = result.copy(data=np.array([*Status.__members__])[result.values])
@@ -43,14 +46,6 @@ def _columns(answer: "xarray.Dataset") -> dict[str, np.ndarray]:
 def _along(axis: Hashable, answer: "xarray.Dataset") -> list[Hashable]:
     """The names of all that varies along a dimension, its own name first."""
     return sorted((name for name, c in answer.coords.items() if c.dims == (axis,)), key=lambda name: name != axis)
-
-
-def labelled(name: str, dims: Sequence[Hashable], shape: Sequence[int]) -> Iterator[tuple[tuple[int, ...], str]]:
-    """Index and name of each number of an output, "tip_position.X" or "tip_tension_2"; a single one is not numbered."""
-    for place in np.ndindex(*shape):
-        parts = zip(dims, place, shape, strict=True)
-        ends = (f".{LABELS[str(d)][i]}" if d in LABELS else of_tendon("", i) for d, i, n in parts if n > 1)
-        yield place, "".join([name, *ends])
 
 
 def is_short(array: "xarray.DataArray") -> bool:
