@@ -291,7 +291,6 @@ REFUSED = {
     "two forms": (lambda t: t.replace("taper = true", "taper = true, knots = 5"), "write knots = 9 for a spline or"),
     "a form of a number": (lambda t: t.replace("outer_radius =", "length ="), "only outer_radius, inner_radius, "),
     "no table": (lambda t: re.sub("= { taper.*", "= 3", t), 'outer_radius: write { bounds = ["8 mm", "25 mm"] }'),
-    "choices beside bounds": (lambda t: t.replace("taper = true,", "choices = [1],"), "a number with choices has "),
     "no case": (lambda t: t.replace("[[case]]", "[case]"), "write each below a line [[case]]"),
     "a push": (lambda t: t.replace('"50 N"', '"-50 N"'), "case 1: base_tension '-50 N': a tendon cannot push"),
     "two tensions": (lambda t: t.replace('"50 N"', '["50 N", "60 N"]'), "case 1: base_tension: 2 given"),
@@ -345,5 +344,5 @@ def test_the_template_is_a_task_and_has_every_key(run, task):
 
 def test_a_trade_off_has_two_objectives(fails, task):
     assert "give two objectives" in fails("design", task(), "--pareto", 3)
-    message = "choices, starts and weights have no place in a trade-off"
+    message = "starts and weights have no place in a trade-off"
     assert message in fails("design", task("starts = 8\n" + TASK), "--pareto", 3)

@@ -27,7 +27,6 @@ LARGEST = 12  # sensitivities in the report
 NOT_IN_JSON = ("manipulator", "start", "cases", "outcome")
 KINK = "not unique: limits bind at one place"
 Fixed = tuple[int | None, str]  # a number that is not free: its load case, None for the body; and its name there
-Choices = tuple[tuple[dict[str, float], float], ...]  # numbers by name, and the objective that was reached with them
 
 
 class Achieved(NamedTuple):
@@ -88,8 +87,6 @@ class Design:
     optimality: float  # first-order: largest entry of the gradient of the Lagrangian, scaled
     violation: float  # largest, scaled
     starts: tuple[float, ...]  # the objective reached from each start, inf if not feasible
-    choices: Choices  # the objective reached with each combination of choices, inf if not feasible
-    chosen: dict[str, float]  # of the choices, the best
     cases: tuple[LoadCase, ...]  # how the body is used
     remarks: tuple[str, ...]  # further notes in words
     outcome: SearchResult = field(repr=False)
@@ -101,10 +98,7 @@ class Design:
     def as_dict(self) -> dict[str, object]:
         """The design for JSON, SI units."""
         own = {each.name: getattr(self, each.name) for each in fields(self) if each.name not in NOT_IN_JSON}
-        return own | {
-            "sensitivity": self.sensitivity if _follows(self) else {},
-            "choices": [{"numbers": values, "objective": objective} for values, objective in self.choices],
-        }
+        return own | {"sensitivity": self.sensitivity if _follows(self) else {}}
 
     @cached_property
     def sensitivity(self) -> dict[str, float]:
@@ -145,9 +139,7 @@ class Design:
         return {name: number.value for name, number in self.free.items()}
 
 
-def design_of(
-    outcome: SearchResult, start: Manipulator, choices: Choices = (), chosen: dict[str, float] | None = None
-) -> Design:
+def design_of(outcome: SearchResult, start: Manipulator) -> Design:
     """The result of a search, with everything that is reported."""
     problem, local, objectives = outcome.problem, outcome.local, []
     body, at_start, at_end = problem.body(outcome.z), problem.evaluation(problem.free.scaled_start), outcome.evaluation
@@ -171,8 +163,6 @@ def design_of(
         optimality=local.residual,
         violation=outcome.violation,
         starts=tuple(displayed(problem, value) for value in outcome.starts),
-        choices=choices,
-        chosen=chosen or {},
         cases=problem.cases,
         remarks=tuple(
             f"{case.name or 'the load case'}: {words_of(code)}" for case, code in codes if code != Status.successful
@@ -309,11 +299,6 @@ def _head(found: Design) -> Iterator[str]:
         yield f"- in the way: {name}"
     if found.blocking:
         yield "- no body nearby keeps to all of these; relax one of them, or start elsewhere"
-    for name, value in found.chosen.items():
-        yield f"- chosen: {name} = {number_in_words(name, value)}"
-    for values, objective in found.choices:
-        numbers = ", ".join(f"{name} = {number_in_words(name, value)}" for name, value in values.items())
-        yield f"- with {numbers}: {_objective(found, objective)}"
     for remark in found.remarks:
         yield f"- {remark}"
     yield ""

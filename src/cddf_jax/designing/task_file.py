@@ -71,10 +71,10 @@ class DesignTask(NamedTuple):
     def pareto_front(self, num: int) -> ParetoFront:
         """As `pareto_front`, of the two objectives of the task; errors name the file."""
         aims = self.arguments["objective"]
-        given = {name: value for name, value in self.arguments.items() if name not in ("objective", "choices")}
+        given = {name: value for name, value in self.arguments.items() if name != "objective"}
         with within(self.path):
-            if self.arguments["choices"] or "starts" in given or any(weight != 1 for weight, _ in aims):
-                raise InputError("choices, starts and weights have no place in a trade-off; take them out of the task")
+            if "starts" in given or any(weight != 1 for weight, _ in aims):
+                raise InputError("starts and weights have no place in a trade-off; take them out of the task")
             return pareto_front(objectives=[aim for _, aim in aims], num=num, **given)
 
 
@@ -93,7 +93,7 @@ def _task(table: Table, path: Path) -> DesignTask:
     read = _each(table, "case", lambda case: _case(case, body, gravity))
     cases = tuple(replace(case, name=case.name or f"case {i}") for i, case in enumerate(read, 1))
     free = _entries(table, "free")
-    measured, (body, bounds, choices) = body, _free(body, cases[0], free)
+    measured, (body, bounds) = body, _free(body, cases[0], free)
     read_as: tuple[str, ...] = (in_one_line(columns),) if columns else ()
     if gravity is not None:
         read_as += (f"{gravity_in_words(gravity)}, of the robot file, in every case without a gravity of its own",)
@@ -103,11 +103,10 @@ def _task(table: Table, path: Path) -> DesignTask:
     arguments = {
         "manipulator": body,
         "objective": _each(table, "objective", _objective),
-        "free": tuple(name for name in free if name not in choices),
+        "free": tuple(free),
         "bounds": bounds,
         "constraints": _each(table, "limit", _limit) if "limit" in table else [],
         "cases": cases,
-        "choices": choices,
         "offsets_outside_wall": outside,
     }
     arguments |= {key: table[key] for key in ("starts", "nodes", "worst", "offsets_outside_wall") if key in table}
@@ -117,27 +116,20 @@ def _task(table: Table, path: Path) -> DesignTask:
 # --- free numbers --------------------------------------------------------------------------------
 
 
-def _free(
-    body: Manipulator, used: LoadCase, table: Table
-) -> tuple[Manipulator, dict[str, float | np.ndarray], dict[str, float | np.ndarray]]:
-    """The body with its free profiles as splines or tapers where the task says so, bounds and choices."""
-    bounds, choices = {}, {}
+def _free(body: Manipulator, used: LoadCase, table: Table) -> tuple[Manipulator, dict[str, float | np.ndarray]]:
+    """The body with its free profiles as splines or tapers where the task says so, and bounds."""
+    bounds = {}
     for name, entry in table.items():
         with within(f"free {name}"):
             if not isinstance(entry, dict):
                 raise InputError(f'write {{ bounds = ["8 mm", "25 mm"] }}, got {entry!r}')
             _check("free", entry)
             numbers_under(used.of(body), name)
-            dimension = dimension_of_number(name)
             if "knots" in entry or "taper" in entry:
                 body = _formed(body, name, entry)
             if "bounds" in entry:
-                bounds[name] = _nested(entry["bounds"], dimension, "bounds")
-            if "choices" in entry:
-                if len(entry) > 1:
-                    raise InputError("a number with choices has nothing beside them")
-                choices[name] = _nested(entry["choices"], dimension, "choices")
-    return body, bounds, choices
+                bounds[name] = _nested(entry["bounds"], dimension_of_number(name), "bounds")
+    return body, bounds
 
 
 def _formed(body: Manipulator, name: str, entry: Table) -> Manipulator:
