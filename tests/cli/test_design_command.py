@@ -311,6 +311,13 @@ def test_bad_tasks_are_refused_in_one_line(what, task):
     assert message in said
 
 
+def test_the_bounds_of_a_free_target_have_its_unit(task):
+    text = (
+        TASK.replace('"50 N"', '"tip_angle=20 deg"') + '\n[free."base_tension_1.value"]\nbounds = ["10 deg", "1 rad"]\n'
+    )
+    assert read_task(task(text)).arguments["bounds"]["base_tension_1.value"] == pytest.approx([np.pi / 18, 1.0])
+
+
 def test_a_bad_task_writes_nothing(fails, task, tmp_path):
     bad = task(TASK.replace('"strain"', '"strian"'))
     assert fails("design", bad, "--out", "out").startswith(f"{tmp_path}")

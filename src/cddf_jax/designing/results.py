@@ -14,19 +14,17 @@ from jaxtyping import Array
 from ..files.writing import markdown_table
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import Equilibrium
-from ..statics.named_numbers import Case, tip_of_winding
+from ..statics.named_numbers import tip_of_winding
 from ..statics.status import Status, words_of
 from ..units import Dimension, preferred, shown
 from .constrained import ACTIVE, TOLERANCE
-from .free_numbers import PLACE, dimension_of_number, number_in_words
+from .free_numbers import PLACE, dimension_in
 from .load_cases import LoadCase, case_numbers
 from .problem import DesignProblem, Values, pieces_of
 from .search import SearchResult, undetermined
 
-LARGEST = 12  # sensitivities in the report
 NOT_IN_JSON = ("manipulator", "start", "cases", "outcome")
 KINK = "not unique: limits bind at one place"
-Fixed = tuple[int | None, str]  # a number that is not free: its load case, None for the body; and its name there
 
 
 class Achieved(NamedTuple):
@@ -48,6 +46,7 @@ class FreeNumber(NamedTuple):
     upper: float
     status: str  # "inside", "at lower bound" or "at upper bound"
     multiplier: float  # how much better the objective becomes per unit of a wider bound; NaN as in `LimitReport`
+    dimension: Dimension
 
 
 class LimitReport(NamedTuple):
@@ -102,11 +101,11 @@ class Design:
 
     @cached_property
     def sensitivity(self) -> dict[str, float]:
-        """Derivatives of the best objective by numbers of body and load cases that are not free, per SI unit.
+        """Derivatives of the best objective by numbers of the body that are not free, per SI unit.
 
-        They are the derivatives of the Lagrangian (envelope theorem), for several objectives those of the weighted sum.
-        NaN if several limits are active at one place, so that the slopes to both sides differ. Empty if the design is
-        not feasible. Computed when it is first read.
+        With one load case also by its tensions and loads. They are the derivatives of the Lagrangian (envelope
+        theorem), for several objectives those of the weighted sum. NaN if several limits are active at one place, so
+        that the slopes to both sides differ. Empty if the design is not feasible. Computed when it is first read.
         """
         if not self.feasible:
             return {}
@@ -114,10 +113,8 @@ class Design:
         fixed, unit = fixed_numbers(problem), unit_of_objective(problem)
         numbers = jnp.asarray(list(fixed.values()))
         gradient, slopes = map(np.asarray, _slopes(problem, jnp.asarray(local.point.x), tuple(fixed), numbers))
-        alone = len(self.cases) == 1
-        labels = [name if case is None or alone else f"case {case + 1}: {name}" for case, name in fixed]
-        columns = zip(labels, gradient, slopes.T, strict=True)
-        return {label: unit * (float(own) - local.price(limits)) for label, own, limits in columns}
+        columns = zip(fixed, gradient, slopes.T, strict=True)
+        return {name: unit * (float(own) - local.price(limits)) for name, own, limits in columns}
 
     @cached_property
     def equilibria(self) -> tuple[Equilibrium, ...]:
@@ -207,7 +204,8 @@ def displayed(problem: DesignProblem, value: float) -> float:
 
 def free_numbers(outcome: SearchResult) -> dict[str, FreeNumber]:
     """The free numbers, with the multipliers of their bounds."""
-    local, free, unit, found = outcome.local, outcome.problem.free, abs(unit_of_objective(outcome.problem)), {}
+    problem, local, unit, found = outcome.problem, outcome.local, abs(unit_of_objective(outcome.problem)), {}
+    free, case = problem.free, problem.cases[0].of(problem.manipulator)
     columns = (free.start, np.asarray(free.numbers(outcome.z)), free.lower, free.upper, free.size)
     for i, row in enumerate(zip(*columns, strict=True)):
         start, value, lower, upper, size = map(float, row)
@@ -215,7 +213,8 @@ def free_numbers(outcome: SearchResult) -> dict[str, FreeNumber]:
         status = "at lower bound" if at_lower else "at upper bound" if at_upper else "inside"
         own = unit / size * (np.arange(local.point.x.size) == i)
         worth = local.price(lower=own, upper=own) if local.feasible else np.nan
-        found[free.label(i)] = FreeNumber(start, value, lower, upper, status, worth)
+        dimension = dimension_in(case, free.names[i][0])
+        found[free.label(i)] = FreeNumber(start, value, lower, upper, status, worth, dimension)
     return found
 
 
@@ -250,39 +249,25 @@ def limit_reports(outcome: SearchResult, length: float) -> tuple[LimitReport, ..
 # --- numbers that are not free --------------------------------------------------------------------
 
 
-def fixed_numbers(problem: DesignProblem) -> dict[Fixed, float]:
-    """All numbers of body and load cases that are not free."""
-    free = {name for names in problem.free.names for name in names}
-    free |= {tip_of_winding(name) for name in free}
-    body = problem.manipulator
-    set_by_cases = {name for case in problem.cases for name in case.numbers}
-    of_body = _numbers_of(case_numbers(body))
-    found: dict[Fixed, float] = {(None, name): x for name, x in of_body.items() if name not in free | set_by_cases}
-    for i, case in enumerate(problem.cases):
-        if len(case.numbers) == 0 or len(problem.cases) == 1:
-            acting = _numbers_of(replace(case, direction=None).of(body))
-            found |= {(i, name): x for name, x in acting.items() if name not in {*of_body, *free}}
-    return found
+def fixed_numbers(problem: DesignProblem) -> dict[str, float]:
+    """The numbers of the body, and of a single load case, that are not free; without arc lengths."""
+    given = {name for names in problem.free.names for name in names}
+    given |= {tip_of_winding(name) for name in given} | {name for case in problem.cases for name in case.numbers}
+    first, *others = problem.cases
+    case = case_numbers(problem.manipulator) if others else replace(first, direction=None).of(problem.manipulator)
+    numbers = {name: x for name, x in case.numbers.items() if name not in given and not PLACE.search(name)}
+    return {name: float(np.asarray(x)) for name, x in numbers.items()}
 
 
-def _numbers_of(case: Case) -> dict[str, float]:
-    """The numbers of a case by name, without arc lengths."""
-    return {name: float(np.asarray(number)) for name, number in case.numbers.items() if not PLACE.search(name)}
-
-
-def with_fixed(problem: DesignProblem, numbers: Mapping[Fixed, Array]) -> DesignProblem:
+def with_fixed(problem: DesignProblem, numbers: Mapping[str, Array]) -> DesignProblem:
     """The problem with other fixed numbers; another length stretches everything along the body."""
-
-    def of(place: int | None) -> dict[str, Array]:
-        return {name: x for (case, name), x in numbers.items() if case == place}
-
-    body = case_numbers(problem.manipulator).with_numbers(of(None)).manipulator
-    cases = [case.with_numbers(body, of(i))[1] for i, case in enumerate(problem.cases)]
-    return replace(problem, manipulator=body, cases=tuple(cases))
+    first, *others = problem.cases
+    body, first = first.with_numbers(problem.manipulator, numbers)
+    return replace(problem, manipulator=body, cases=(first, *others))
 
 
 @eqx.filter_jit
-def _slopes(problem: DesignProblem, x: Array, fixed: tuple[Fixed, ...], numbers: Array) -> Values:
+def _slopes(problem: DesignProblem, x: Array, fixed: tuple[str, ...], numbers: Array) -> Values:
     """The derivatives of objective and margins by fixed numbers, on the last axis."""
     return jax.jacfwd(lambda numbers: with_fixed(problem, dict(zip(fixed, numbers, strict=True))).values(x)[0])(numbers)
 
@@ -314,8 +299,8 @@ def _objective(found: Design, value: float) -> str:
 def _numbers(found: Design) -> Iterator[str]:
     rows = []
     for name, free in found.free.items():
-        start, value, lower, upper = (number_in_words(name, x) for x in free[:4])
-        worth = "" if free.status == "inside" else _worth(found, free.multiplier, dimension_of_number(name))
+        start, value, lower, upper = (shown(x, free.dimension) for x in free[:4])
+        worth = "" if free.status == "inside" else _worth(found, free.multiplier, free.dimension)
         rows.append((name, start, value, f"{lower} to {upper}", free.status, worth))
     head = ("free number", "start", "design", "bounds", "", "gain by a wider bound")
     yield from markdown_table(head, rows, right=("start", "design"))
@@ -347,27 +332,12 @@ def _worth(found: Design, slope: float, dimension: Dimension) -> str:
 
 
 def _sensitivity(found: Design) -> Iterator[str]:
-    """The largest logarithmic derivatives of the objective, if neither it nor the number is zero."""
-    if not _follows(found):
-        return
-    size, rows, kinks = abs(found.objective), {}, []
-    numbers = zip(fixed_numbers(found.outcome.problem).values(), found.sensitivity.items(), strict=True)
-    for value, (name, slope) in numbers:
-        change = slope * value
-        if dimension_of_number(name.split(": ")[-1]) == "angle":  # which has no size
-            name, change = f"{name}, by 1 deg", slope * np.radians(1.0) / 0.01
-        if np.isnan(slope):
-            kinks.append(name)
-        elif size > 0 and abs(change) > 1e-9 * size:
-            rows[name] = change / size
-    largest = sorted(rows.items(), key=lambda item: -abs(item[1]))[:LARGEST]
-    lines = [(name, f"{percent:+.3g} %") for name, percent in largest]
-    if kinks:
-        lines.append((", ".join(kinks), KINK))
-    several = "" if len(found.objectives) == 1 else " (of several: their weighted sum)"
-    head = f"how the best objective follows{several}", "change by 1 % changes it by"
-    yield from markdown_table(head, lines, right=head[1:])
-    yield ""
+    """The derivatives of the best objective that are not zero, or of several objectives those of their weighted sum."""
+    if _follows(found):
+        slopes, case = found.sensitivity.items(), found.cases[0].of(found.manipulator)
+        rows = [(name, _worth(found, slope, dimension_in(case, name))) for name, slope in slopes if slope != 0]
+        yield from markdown_table(("number that is not free", "the best objective changes by"), rows)
+        yield ""
 
 
 def _follows(found: Design) -> bool:

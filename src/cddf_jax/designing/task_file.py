@@ -20,7 +20,7 @@ from ..robot.profiles import Linear, Profile, Spline
 from ..units import Dimension, quantity
 from .body_quantities import BODY_QUANTITIES, quantity_named
 from .design import design
-from .free_numbers import dimension_of_number, numbers_under
+from .free_numbers import dimension_in, numbers_under
 from .load_cases import LoadCase, case_numbers, uncertain_cases
 from .objectives import Even, Least, Limit, Most, Near, Objective
 from .pareto import ParetoFront, pareto_front
@@ -124,11 +124,11 @@ def _free(body: Manipulator, used: LoadCase, table: Table) -> tuple[Manipulator,
             if not isinstance(entry, dict):
                 raise InputError(f'write {{ bounds = ["8 mm", "25 mm"] }}, got {entry!r}')
             _check("free", entry)
-            numbers_under(used.of(body), name)
+            dimension = dimension_in(used.of(body), numbers_under(used.of(body), name)[0][0])
             if "knots" in entry or "taper" in entry:
                 body = _formed(body, name, entry)
             if "bounds" in entry:
-                bounds[name] = _nested(entry["bounds"], dimension_of_number(name), "bounds")
+                bounds[name] = _nested(entry["bounds"], dimension, "bounds")
     return body, bounds
 
 
@@ -159,13 +159,11 @@ def _case(table: Table, body: Manipulator, gravity: tuple[float, ...] | None) ->
     direction = table.get("direction")
     loads = {key: _text(table, key) if key in table else None for key in ("tip_force", "tip_moment", "gravity")}
     numbers = _entries(table, "numbers") if "numbers" in table else {}
-    for name in numbers:
-        case_numbers(body).number(name)
     return LoadCase(
         read_actuation(_texts(table, "base_tension"), body, called=str),
         read_loads(**loads, points=_texts(table, "point_loads"), mounted=gravity, called=str),
         read_directions(direction if isinstance(direction, list | None) else [direction], body, called=str),
-        {name: quantity(value, dimension_of_number(name), name) for name, value in numbers.items()},
+        {name: quantity(value, dimension_in(case_numbers(body), name), name) for name, value in numbers.items()},
         quantity(table.get("weight", 1.0), "dimensionless", "weight"),
         str(table.get("name", "")),
         _nested(table["loop"], "force", "loop") if "loop" in table else None,
