@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import replace
+from itertools import groupby
 from typing import TYPE_CHECKING, TypeVar
 
 import equinox as eqx
@@ -9,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
-from scipy.special import ndtri
 
 from ..errors import InputError
 from ..estimation.determination import IDENTIFIED, PRIOR_ONLY
@@ -103,8 +103,8 @@ class LoadCase(eqx.Module):
 def uncertain_cases(case: LoadCase, fit: "Fit", num: int = 16) -> tuple[LoadCase, ...]:
     """The case with bodies drawn from the uncertainty of a fit: log-normal about its estimate.
 
-    Sobol points through the normal quantile of the logarithms, so that a modulus stays positive. Mean and covariance of
-    the draws are those of the fit to a few percent.
+    Quasi-random normal points for the logarithms, so that a modulus stays positive. Mean and covariance of the draws
+    are those of the fit to a few percent.
 
     Args:
         case: how the body is used.
@@ -127,8 +127,8 @@ def uncertain_cases(case: LoadCase, fit: "Fit", num: int = 16) -> tuple[LoadCase
     logarithmic = np.log1p(fit.covariance[np.ix_(places, places)] / np.outer(centre, centre))
     from scipy.stats import qmc
 
-    points = ndtri(qmc.Sobol(len(own), rng=0).random(num))
-    values = centre * np.exp(points @ np.linalg.cholesky(logarithmic).T - np.diag(logarithmic) / 2)
+    points = qmc.MultivariateNormalQMC(-np.diag(logarithmic) / 2, logarithmic, rng=0).random(num)
+    values = centre * np.exp(points)
     label, weight = case.name or "case", float(case.weight) / num
     drawn = [{**case.numbers, **dict(zip(own, row, strict=True))} for row in values]
     return tuple(
@@ -142,18 +142,18 @@ def case_numbers(manipulator: Manipulator) -> Case:
 
 
 def of_every_case(function: Callable[[LoadCase], Answer], cases: Sequence[LoadCase]) -> Answer:
-    """A function of every case, with a leading axis on its values; similar cases are computed together."""
-    nameless = [replace(case, name="") for case in cases]
-    groups: dict[Hashable, list[int]] = {}
-    for i, case in enumerate(nameless):
+    """A function of every case, with a leading axis on its values; similar neighbours are computed together."""
+
+    def kind(case: LoadCase) -> Hashable:
         leaves, structure = jax.tree.flatten(case)
-        groups.setdefault((structure, tuple(map(np.shape, leaves))), []).append(i)
+        return structure, tuple(map(np.shape, leaves))
+
     found = []
-    for first, *others in groups.values():
+    for _, group in groupby((replace(case, name="") for case in cases), key=kind):
+        first, *others = group
         if others:
-            similar = [nameless[i] for i in (first, *others)]
-            found.append(jax.vmap(function)(jax.tree.map(lambda *x: jnp.stack(list(map(jnp.asarray, x))), *similar)))
+            similar = jax.tree.map(lambda *x: jnp.stack(list(map(jnp.asarray, x))), first, *others)
+            found.append(jax.vmap(function)(similar))
         else:
-            found.append(jax.tree.map(lambda x: x[None], function(nameless[first])))
-    places = np.argsort([i for group in groups.values() for i in group])
-    return jax.tree.map(lambda *parts: jnp.concatenate(parts)[places], *found)
+            found.append(jax.tree.map(lambda x: x[None], function(first)))
+    return jax.tree.map(lambda *parts: jnp.concatenate(parts), *found)

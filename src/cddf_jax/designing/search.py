@@ -11,8 +11,6 @@ from ..progress import each, stage
 from ..statics.status import Status
 from .constrained import (
     ACTIVE,
-    ITERATIONS,
-    LITTLE,
     TOLERANCE,
     LocalMinimum,
     Point,
@@ -24,6 +22,7 @@ from .problem import USABLE, DesignEvaluation, DesignProblem, pieces_of
 
 WANDERING = 16  # last stations, which are moved to where limits are broken between the others
 LOOKS = 6  # how often a search begins again where it ended
+LITTLE = 1e-4  # of the objective, scaled: a search that gains less does not begin again
 FINE = 768  # places at which limits are checked between the stations
 SEARCHES = 4  # from the best of many starts
 NEAR = 1e-2  # a margin that may be negative between the points of the grid
@@ -115,9 +114,8 @@ def _repeated(problem: DesignProblem, z: np.ndarray) -> SearchResult:
     while True:
         local, blocking = _minimum(problem, x)
         violation, places = broken_between(problem, local)
-        ended = local.iterations >= ITERATIONS or local.point.objective > before - LITTLE
-        done = violation <= TOLERANCE and (local.stationary or ended)
-        if done or not local.feasible or looks == LOOKS:
+        done = local.stationary or local.point.objective > before - LITTLE
+        if (done and violation <= TOLERANCE) or not local.feasible or looks == LOOKS:
             return SearchResult(local, problem, violation, blocking)
         kept, wandering = np.split(np.asarray(problem.stations), [-WANDERING])
         moved = np.concatenate([kept, wandering[len(places) :], places])  # in place of the oldest
@@ -135,7 +133,7 @@ def _minimum(problem: DesignProblem, x: np.ndarray) -> tuple[LocalMinimum, tuple
     x = least.point.x[:-1]
     if least.point.objective <= TOLERANCE:
         return minimise_constrained(problem, x, *problem.bounds), ()
-    local = local_minimum(problem(x), *problem.bounds, local.iterations)
+    local = local_minimum(problem(x), *problem.bounds)
     return local, _blocking(problem, local.point, least)
 
 

@@ -1,6 +1,5 @@
 """Design tasks in TOML files with units; `template.toml` holds every key."""
 
-import re
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -30,23 +29,18 @@ Table = Mapping[str, object]
 Item = TypeVar("Item")
 
 TEMPLATE = Path(__file__).with_name("template.toml").read_text(encoding="utf-8")
-_HEADER = re.compile(r"(?:# )?\[+(\w+)\]+ +# ")
-_KEY = re.compile(r"(?:# )?(?:outer_radius = { )?(\w+) = .+? +# (required: )?")
-
-
-def _keys() -> dict[str, dict[str, bool]]:
-    """The keys of every table, and whether each is required; "" stands for the keys above the first table."""
-    tables: dict[str, dict[str, bool]] = {"": {}}
-    for line in TEMPLATE.splitlines():
-        if header := _HEADER.match(line):
-            tables[header[1]] = {}
-        elif key := _KEY.match(line):
-            tables[list(tables)[-1]][key[1]] = key[2] is not None
-    return tables
-
-
-KEYS = _keys()
 _AIMS: dict[str, type[Objective]] = {"least": Least, "most": Most, "even": Even, "near": Near}
+_OPTIONS = ("starts", "nodes", "worst", "offsets_outside_wall")  # of `design`
+_OF_A_CASE = ("name", "direction", "tip_force", "tip_moment", "point_loads", "gravity", "weight", "loop", "numbers")
+# the keys that each table must have, and those that it may have; "" stands for the keys above the first table
+KEYS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "": (("robot", "free", "case", "objective"), ("kinematics", *_OPTIONS, "uncertain", "limit")),
+    "free": ((), ("bounds", "taper", "knots")),
+    "case": (("base_tension",), _OF_A_CASE),
+    "uncertain": (("data",), ("columns", "num")),
+    "objective": ((), (*_AIMS, "value", "at", "weight")),
+    "limit": (("quantity",), ("least", "most", "equal")),
+}
 
 
 def template() -> str:
@@ -85,8 +79,7 @@ def read_task(path: Path) -> DesignTask:
 
 
 def _task(table: Table, path: Path) -> DesignTask:
-    options = [key for key, required in KEYS[""].items() if not required]
-    check_keys(table, ("robot", "free", "case", "objective"), (*options, "uncertain", "limit"))
+    check_keys(table, *KEYS[""])
     body, columns, outside, gravity = read_robot_file(path.parent / _text(table, "robot"))
     if "kinematics" in table:
         body = replace(body, kinematics=table["kinematics"])
@@ -109,7 +102,7 @@ def _task(table: Table, path: Path) -> DesignTask:
         "cases": cases,
         "offsets_outside_wall": outside,
     }
-    arguments |= {key: table[key] for key in ("starts", "nodes", "worst", "offsets_outside_wall") if key in table}
+    arguments |= {key: table[key] for key in _OPTIONS if key in table}
     return DesignTask(path, arguments, read_as, gravity)
 
 
@@ -123,7 +116,7 @@ def _free(body: Manipulator, used: LoadCase, table: Table) -> tuple[Manipulator,
         with within(f"free {name}"):
             if not isinstance(entry, dict):
                 raise InputError(f'write {{ bounds = ["8 mm", "25 mm"] }}, got {entry!r}')
-            _check("free", entry)
+            check_keys(entry, *KEYS["free"])
             dimension = dimension_in(used.of(body), numbers_under(used.of(body), name)[0][0])
             if "knots" in entry or "taper" in entry:
                 body = _formed(body, name, entry)
@@ -179,7 +172,7 @@ def _uncertain(
     from ..measurements.trials import read_tables
 
     with within("uncertain"):
-        _check("uncertain", table)
+        check_keys(table, *KEYS["uncertain"])
         drawn: dict[str, Any] = {"num": table["num"]} if "num" in table else {}
         columns = {name: str(meant) for name, meant in _entries(table, "columns").items()} if "columns" in table else {}
     tables = read_tables([folder / file for file in _texts(table, "data")], columns)
@@ -253,12 +246,6 @@ def _each(table: Table, key: str, read: Callable[[Table], Item]) -> list[Item]:
     found = []
     for i, each in enumerate(value, 1):
         with within(f"{key} {i}"):
-            _check(key, each)
+            check_keys(each, *KEYS[key])
             found.append(read(each))
     return found
-
-
-def _check(name: str, table: Table) -> None:
-    """Refuse unknown keys of a table, and require those that must be there."""
-    keys = KEYS[name]
-    check_keys(table, [key for key in keys if keys[key]], [key for key in keys if not keys[key]])
