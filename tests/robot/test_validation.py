@@ -122,7 +122,7 @@ def test_scaled_cones_pass_in_either_precision(length, taper, bore, place, dtype
             "tendons 1 and 3 must not touch or cross: at s = 0 mm they are 0 mm apart; "
             "change an offset or an angle",
         ),
-        (  # a quarter of a turn on one side meets a quarter on the other in the middle; they are 1 % of the offset apart
+        (  # a quarter of a turn on one side meets a quarter on the other in the middle; 1 % of the offset apart
             # 0.01 / pi of the length before
             in_space((0.010, helix(0.25)), (0.010, helix(-0.25, TURN / 4))),
             "tendons 1 and 2 must not touch or cross: at s = 69.58 mm they are 0.094 mm apart;",
