@@ -132,14 +132,13 @@ def problem_of(
         manipulator = manipulator.with_angles()
     numbers = free_numbers_of(used[0].of(manipulator), free, bounds)
     _check(manipulator, [*constraints, *(aim for _, aim in objectives)], numbers, used)
-    implied, one = _implied(manipulator, constraints, offsets_outside_wall=offsets_outside_wall), jnp.ones(())
-    limits = [(limit, False) for limit in constraints] + [(limit, True) for limit in implied]
+    limits, one = [*constraints, *_implied(manipulator, constraints, offsets_outside_wall)], jnp.ones(())
     problem = DesignProblem(
         manipulator,
         numbers,
         used,
         terms=tuple(Term(aim, jnp.asarray(weight, float), one) for weight, aim in objectives),
-        limits=tuple(Kept(jax.tree.map(jnp.asarray, limit), one, own) for limit, own in limits),
+        limits=tuple(Kept(jax.tree.map(jnp.asarray, limit), one) for limit in limits),
         stations=jnp.asarray(_stations(manipulator)),
         worst=worst,
         nodes=nodes,
@@ -174,7 +173,7 @@ def _sized(problem: DesignProblem) -> DesignProblem:
     return replace(problem, terms=tuple(terms), limits=tuple(limits))
 
 
-def _implied(body: Manipulator, limits: Sequence[Limit], *, offsets_outside_wall: bool) -> list[Limit]:
+def _implied(body: Manipulator, limits: Sequence[Limit], offsets_outside_wall: bool) -> list[Limit]:
     """The limits that every body must keep, unless the user limits the same quantity."""
     own = {limit.name for limit in limits}
     always = [Limit("crossing", most=CROSSING)]

@@ -61,7 +61,6 @@ class LimitReport(NamedTuple):
     multiplier: float  # how much better the objective becomes per unit of a wider limit; NaN where that is not unique
     arc_length: float  # m, where it is tightest; NaN for a quantity that does not vary along the body
     case: str  # the load case; "" for the body itself
-    implied: bool  # whether it is a limit that every body must keep, and not the user's
     dimension: Dimension
 
 
@@ -239,7 +238,6 @@ def limit_reports(outcome: SearchResult, length: float) -> tuple[LimitReport, ..
                 multiplier=local.price(weights) if local.feasible else np.nan,
                 arc_length=float(problem.stations[at[-1]]) * length if limit.known.along else np.nan,
                 case=case if limit.known.bent else "",
-                implied=kept.implied,
                 dimension=limit.known.dimension,
             )
             reports.append(report)
@@ -311,7 +309,7 @@ def _limits(found: Design) -> Iterator[str]:
     rows, signs = [], {"least": ">=", "most": "<=", "equal": "="}
     for limit in found.limits:
         bound, reached = shown(limit.limit, limit.dimension), shown(limit.reached, limit.dimension)
-        text = f"{limit.name} {signs[limit.side]} {bound}{' (implied)' if limit.implied else ''}"
+        text = f"{limit.name} {signs[limit.side]} {bound}"
         place = "" if np.isnan(limit.arc_length) else f"s = {shown(limit.arc_length, 'length')}"
         where = ", ".join(part for part in (limit.case, place) if part)
         worth = _worth(found, limit.multiplier, limit.dimension) if limit.active else ""
@@ -347,12 +345,6 @@ def _follows(found: Design) -> bool:
 
 
 def _foot(found: Design) -> Iterator[str]:
-    if len(found.objectives) > 1:
-        weights = ", ".join(f"{each.weight:g}" for each in found.objectives)
-        yield (
-            f"Each objective counts relative to its size at the start; weights {weights}: "
-            f"together {found.objective:.5g}."
-        )
     yield (
         f"Largest violation {found.violation:.1g} and first-order optimality {found.optimality:.1g} (scaled; "
         f"{TOLERANCE:g} is asked for)."

@@ -150,26 +150,16 @@ def _blocking(problem: DesignProblem, point: Point, least: LocalMinimum) -> tupl
 
 
 def undetermined(problem: DesignProblem, z: np.ndarray) -> bool:
-    """Whether no free number changes an objective: at z it is what it was at the start, and in every other body.
+    """Whether no free number changes an objective: it is the same at z, at the start, and in bodies drawn around z.
 
-    The other bodies are drawn around z, within the bounds. Their equilibria differ, which a slope at z does not show.
+    The equilibria of these bodies differ, which a slope at z does not show. Inaccurate ones do not count.
     """
     drawn = np.random.default_rng(0).random((BODIES, z.size)) * problem.free.ranges
-    best = _sizes(problem, z)
-    if np.any(np.abs(_sizes(problem, problem.free.scaled_start) - best) > GAIN):
-        return False
-    others = np.array([_sizes(problem, z + (other - z) / 4) for other in drawn])
-    known = others[np.all(np.isfinite(others), axis=1)]
-    return len(known) > 0 and bool(np.all(np.abs(known - best) <= GAIN))
-
-
-def _sizes(problem: DesignProblem, z: np.ndarray) -> np.ndarray:
-    """Every objective over its size at the start; NaN for a body without an accurate equilibrium."""
-    found = problem.evaluation(z)
-    known = enumerate(zip(found.aims, problem.terms, strict=True))
-    sizes = [float(problem.over_the_cases(i, aim) / term.size) for i, (aim, term) in known]
-    accurate = np.isin(found.codes, USABLE) & (found.codes != Status.inaccurate)
-    return np.where(np.all(accurate), sizes, np.nan)
+    found = [problem.evaluation(x) for x in (problem.free.scaled_start, z, *(z + (drawn - z) / 4))]
+    accurate = [each for each in found if np.all(np.isin(each.codes, USABLE) & (each.codes != Status.inaccurate))]
+    terms = list(enumerate(problem.terms))
+    sizes = [[float(problem.over_the_cases(i, each.aims[i]) / term.size) for i, term in terms] for each in accurate]
+    return len(accurate) > 2 and bool(np.all(np.ptp(sizes, axis=0) <= GAIN))
 
 
 # --- between the stations ------------------------------------------------------------------------
