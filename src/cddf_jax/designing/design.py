@@ -213,8 +213,6 @@ def _check(
                 f"design: {part} is compared at {np.max(at):g} m, beyond the tip at {length:g} m; change at"
             )
     for case in cases:
-        if any(part.quantity == "hysteresis" for part in parts):
-            case.check_loop()
         for name in case.numbers:
             if name in free:
                 raise InputError(f"design: {name!r} is free, and {case.name or 'the load case'} sets it; leave one out")

@@ -9,18 +9,17 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import PyTree
 
 from ..errors import InputError
 from ..estimation.determination import IDENTIFIED, PRIOR_ONLY
 from ..mechanics.directions import as_directions
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
-from ..robot.profiles import Scalar, as_number, as_optional_number
+from ..robot.profiles import Scalar, as_number
 from ..statics.equilibrium import Equilibrium
 from ..statics.named_numbers import Case
 from ..statics.solve import solve
-from ..statics.targets import Target, TipPosition
 
 if TYPE_CHECKING:
     from ..identification.fit import Fit
@@ -43,8 +42,6 @@ class LoadCase(eqx.Module):
         numbers: numbers of the body that have other values in this case, by name, e.g. {"youngs_modulus": 1.5e6}.
         weight: of this case in means over the cases, above 0.
         name: in tables and messages.
-        loop: (low, high), N, between which the base tension of the first tendon goes up and down, for the quantity
-            "hysteresis". It is evaluated at `base_tension`, which lies between them; the other tendons keep theirs.
     """
 
     base_tension: PyTree = eqx.field(converter=lambda given: jax.tree.map(as_number, given))
@@ -55,12 +52,8 @@ class LoadCase(eqx.Module):
     )
     weight: Scalar = eqx.field(default=1.0, converter=as_number)
     name: str = eqx.field(default="", static=True)
-    loop: Float[Array | np.ndarray, "2"] | None = eqx.field(default=None, converter=as_optional_number)
 
     def __check_init__(self):
-        loop = self.loop
-        if isinstance(loop, np.ndarray) and not (loop.shape == (2,) and 0 <= loop[0] < loop[1] < np.inf):
-            raise InputError(f"LoadCase: loop must be two tensions (low, high), N, got {loop.tolist()}")
         if isinstance(self.weight, np.ndarray) and not (np.isfinite(self.weight) and self.weight > 0):
             raise InputError(f"LoadCase: the weight must be above 0, got {self.weight:g}")
 
@@ -85,19 +78,6 @@ class LoadCase(eqx.Module):
         """The equilibrium of the body in this case; look at its `status`."""
         body = self.body(manipulator)
         return solve(body, self.base_tension, self.loads, direction=self.direction, nodes=nodes, throw=False)
-
-    def check_loop(self) -> None:
-        """Refuse a case without a loop, or one whose hysteresis cannot be computed."""
-        own = self.name or "the load case"
-        if self.loop is None:
-            raise InputError(f"design: 'hysteresis' needs a loop of {own}, as in LoadCase(40.0, loop=(5.0, 75.0))")
-        entries = jax.tree.leaves(self.base_tension, is_leaf=lambda entry: isinstance(entry, Target | TipPosition))
-        if any(isinstance(entry, Target | TipPosition) for entry in entries):
-            raise InputError(f"design: 'hysteresis' needs tensions of {own} in place of targets; give them in N")
-        low, at, high = self.loop[0], float(np.ravel(entries)[0]), self.loop[1]
-        if not low < at < high:
-            inside = f"must lie inside its loop, {low:g} to {high:g} N"
-            raise InputError(f"design: the base tension of {own}, {at:g} N, {inside}")
 
 
 def uncertain_cases(case: LoadCase, fit: "Fit", num: int = 16) -> tuple[LoadCase, ...]:

@@ -24,6 +24,7 @@ from .problem import DesignProblem, Values, pieces_of
 from .search import SearchResult, undetermined
 
 NOT_IN_JSON = ("manipulator", "start", "cases", "outcome")
+NOTHING = 1e-9  # of the objective: a number that changes it by less by as much as it is itself
 KINK = "not unique: limits bind at one place"
 
 
@@ -330,10 +331,13 @@ def _worth(found: Design, slope: float, dimension: Dimension) -> str:
 
 
 def _sensitivity(found: Design) -> Iterator[str]:
-    """The derivatives of the best objective that are not zero, or of several objectives those of their weighted sum."""
+    """The derivatives of the best objective that count, or of several objectives those of their weighted sum."""
     if _follows(found):
-        slopes, case = found.sensitivity.items(), found.cases[0].of(found.manipulator)
-        rows = [(name, _worth(found, slope, dimension_in(case, name))) for name, slope in slopes if slope != 0]
+        rows, case = [], found.cases[0].of(found.manipulator)
+        for name, number in fixed_numbers(found.outcome.problem).items():
+            slope = found.sensitivity[name]
+            if not abs(slope * number) <= NOTHING * abs(found.objective):
+                rows.append((name, _worth(found, slope, dimension_in(case, name))))
         yield from markdown_table(("number that is not free", "the best objective changes by"), rows)
         yield ""
 

@@ -31,7 +31,7 @@ Item = TypeVar("Item")
 TEMPLATE = Path(__file__).with_name("template.toml").read_text(encoding="utf-8")
 _AIMS: dict[str, type[Objective]] = {"least": Least, "most": Most, "even": Even, "near": Near}
 _OPTIONS = ("starts", "nodes", "worst", "offsets_outside_wall")  # of `design`
-_OF_A_CASE = ("name", "direction", "tip_force", "tip_moment", "point_loads", "gravity", "weight", "loop", "numbers")
+_OF_A_CASE = ("name", "direction", "tip_force", "tip_moment", "point_loads", "gravity", "weight", "numbers")
 # the keys that each table must have, and those that it may have; "" stands for the keys above the first table
 KEYS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "": (("robot", "free", "case", "objective"), ("kinematics", *_OPTIONS, "uncertain", "limit")),
@@ -159,7 +159,6 @@ def _case(table: Table, body: Manipulator, gravity: tuple[float, ...] | None) ->
         {name: quantity(value, dimension_in(case_numbers(body), name), name) for name, value in numbers.items()},
         quantity(table.get("weight", 1.0), "dimensionless", "weight"),
         str(table.get("name", "")),
-        _nested(table["loop"], "force", "loop") if "loop" in table else None,
     )
 
 
