@@ -70,7 +70,8 @@ class Design:
     """The body that was found, SI units.
 
     A multiplier is NaN if the design is not feasible, and if several limits bind at one place: relaxing one of them
-    then gains another amount than tightening it costs.
+    then gains another amount than tightening it costs. Multipliers and sensitivities of a single `Even` or `Near` are
+    those of the square, of which `objective` is the root.
     """
 
     manipulator: Manipulator  # the body that was found
