@@ -150,8 +150,8 @@ def test_the_figure_of_a_trade_off():
     """The numbers are made up."""
     values = np.array([[5e-5, 0.12], [6e-5, 0.11], [7e-5, 0.105]])
     designs = [SimpleNamespace(success=True)] * 3
-    volume = Achieved("least volume", 6e-5, 5e-5, 1.0, "volume")
-    strain = Achieved("least strain", 0.12, 0.12, 1.0, "dimensionless")
+    volume = Achieved("least volume", 6e-5, 5e-5, "volume")
+    strain = Achieved("least strain", 0.12, 0.12, "dimensionless")
     front: Any = SimpleNamespace(objectives=(volume, strain), values=values, designs=designs)
     axes = draw_trade_off(front)
     given = Figure().subplots()

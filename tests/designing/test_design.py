@@ -101,7 +101,7 @@ def test_many_starts_of_which_some_are_no_bodies():
     assert not problem(thin).usable
     assert found.success
     assert len(found.starts) == 5  # the body itself, and from the best four of the others
-    assert min(found.starts) < 1e-7  # relative standard deviation of the curvature
+    assert min(found.starts) < 1e-7  # variance of the curvature over that of the start
     assert np.array(list(found.value.values())) == pytest.approx(np.array(list(alone.value.values())), rel=1e-5)
 
 

@@ -21,7 +21,7 @@ from .constrained import ACTIVE, TOLERANCE
 from .free_numbers import PLACE, dimension_in
 from .load_cases import LoadCase, case_numbers
 from .problem import DesignProblem, Values, pieces_of
-from .search import SearchResult, undetermined
+from .search import GAIN, SearchResult, undetermined
 
 NOT_IN_JSON = ("manipulator", "start", "cases", "outcome")
 NOTHING = 1e-9  # of the objective: a number that changes it by less by as much as it is itself
@@ -34,7 +34,6 @@ class Achieved(NamedTuple):
     name: str
     start: float
     end: float
-    weight: float
     dimension: Dimension
 
 
@@ -86,7 +85,7 @@ class Design:
     blocking: tuple[str, ...]  # limits that contradict each other, if no body keeps all of them
     optimality: float  # first-order: largest entry of the gradient of the Lagrangian, scaled
     violation: float  # largest, scaled
-    starts: tuple[float, ...]  # the objective reached from each start, inf if not feasible
+    starts: tuple[float, ...]  # of each search its end as it is made small, relative to the start; inf if not feasible
     cases: tuple[LoadCase, ...]  # how the body is used
     remarks: tuple[str, ...]  # further notes in words
     outcome: SearchResult = field(repr=False)
@@ -98,7 +97,7 @@ class Design:
     def as_dict(self) -> dict[str, object]:
         """The design for JSON, SI units."""
         own = {each.name: getattr(self, each.name) for each in fields(self) if each.name not in NOT_IN_JSON}
-        return own | {"sensitivity": self.sensitivity if _follows(self) else {}}
+        return {**own, "sensitivity": self.sensitivity if _follows(self) else {}}
 
     @cached_property
     def sensitivity(self) -> dict[str, float]:
@@ -144,7 +143,7 @@ def design_of(outcome: SearchResult, start: Manipulator) -> Design:
     for i, term in enumerate(problem.terms):
         aim, values = term.objective, (problem.over_the_cases(i, each.aims[i]) for each in (at_start, at_end))
         start_value, end_value = (aim.displayed(float(value)) for value in values)
-        objectives.append(Achieved(str(aim), start_value, end_value, float(term.weight), aim.dimension))
+        objectives.append(Achieved(str(aim), start_value, end_value, aim.dimension))
     codes = zip(problem.cases, at_end.codes, strict=True)
     result = design_result(outcome)
     return Design(
@@ -160,7 +159,7 @@ def design_of(outcome: SearchResult, start: Manipulator) -> Design:
         blocking=outcome.blocking,
         optimality=local.residual,
         violation=outcome.violation,
-        starts=tuple(displayed(problem, value) for value in outcome.starts),
+        starts=outcome.starts,
         cases=problem.cases,
         remarks=tuple(
             f"{case.name or 'the load case'}: {words_of(code)}" for case, code in codes if code != Status.successful
@@ -190,14 +189,6 @@ def unit_of_objective(problem: DesignProblem) -> float:
     (term,) = problem.terms
     sense = -1.0 if term.objective.displayed(1.0) < 0 else 1.0
     return sense * float(term.size) / float(term.weight)
-
-
-def displayed(problem: DesignProblem, value: float) -> float:
-    """The optimiser's objective as the user reads it: the value of one objective, or the weighted sum of several."""
-    if len(problem.terms) != 1 or not np.isfinite(value):
-        return value
-    (term,) = problem.terms
-    return term.objective.displayed(value * float(term.size) / float(term.weight))
 
 
 # --- what binds ----------------------------------------------------------------------------------
@@ -289,13 +280,6 @@ def _head(found: Design) -> Iterator[str]:
     yield ""
 
 
-def _objective(found: Design, value: float) -> str:
-    """The objective in words: the value of one, or the weighted sum of several."""
-    if not np.isfinite(value):
-        return "not feasible"
-    return shown(value, found.objectives[0].dimension) if len(found.objectives) == 1 else f"{value:.5g}"
-
-
 def _numbers(found: Design) -> Iterator[str]:
     rows = []
     for name, free in found.free.items():
@@ -354,6 +338,7 @@ def _foot(found: Design) -> Iterator[str]:
         f"Largest violation {found.violation:.1g} and first-order optimality {found.optimality:.1g} (scaled; "
         f"{TOLERANCE:g} is asked for)."
     )
-    if len(found.starts) > 1:
-        ends = ", ".join(_objective(found, value) for value in found.starts)
-        yield f"Searches from {len(found.starts)} starts ended at {ends}."
+    if len(found.starts) > 1 and found.feasible:
+        best = min(found.starts)
+        alike = sum(value <= best + GAIN * abs(best) for value in found.starts)
+        yield f"Of {len(found.starts)} searches {alike} ended as well as the best."

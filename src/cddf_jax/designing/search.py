@@ -52,11 +52,6 @@ class SearchResult(NamedTuple):
         return self.local.point.objective if self.feasible else float("inf")
 
     @property
-    def rank(self) -> tuple[float, float]:
-        """Smaller is better."""
-        return self.value, self.violation
-
-    @property
     def evaluation(self) -> DesignEvaluation:
         return self.problem.evaluation(self.local.point.x)
 
@@ -69,7 +64,7 @@ class SearchResult(NamedTuple):
 def search_designs(problem: DesignProblem, starts: Sequence[np.ndarray]) -> SearchResult:
     """Searches that begin at some scaled free numbers; the first of those that end as well as the best."""
     found = [_repeated(problem, z) for z in each("search from start", starts)]
-    value, violation = min(each.rank for each in found)
+    value, violation = min((each.value, each.violation) for each in found)
     best = next(
         each
         for each in found
