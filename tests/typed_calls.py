@@ -122,7 +122,7 @@ def designing():
     at = {"cases": cddf.LoadCase(20.0), "constraints": (cddf.Limit("wall_thickness", least=2e-3),), "nodes": 8}
     aims = [cddf.Least("mass"), cddf.Most("tip_angle"), cddf.Even("curvature"), cddf.Near("tip_angle", 0.4)]
     cddf.design(robot, [(1.0, aim) for aim in aims], free, bounds, **at)
-    cddf.LoadCase(20.0, loop=(5.0, 40.0))
+    cddf.LoadCase(20.0, weight=2.0)
     cddf.pareto_front(robot, (cddf.Least("mass"), cddf.Most("tip_angle")), free, bounds, **at, num=3)
 
 

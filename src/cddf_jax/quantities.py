@@ -100,7 +100,6 @@ _ALL = (
     Quantity("displacement", "length"),
     Quantity("tendon_displacement", "length"),
     Quantity("tip_angle", "angle", "heading of the tip"),
-    Quantity("hysteresis", "angle", "tip angle on the way down less that on the way up, in a loop of the base tension"),
     Quantity("tip_position", "length", "position of the tip"),
     Quantity("tip_frame", "dimensionless", "axes of the tip, in columns"),
     *(Quantity(f"tip_{axis}", "length", title=f"Tip position {axis.upper()}") for axis in "xyz"),

@@ -150,8 +150,8 @@ def test_the_figure_of_a_trade_off():
     """The numbers are made up."""
     values = np.array([[5e-5, 0.12], [6e-5, 0.11], [7e-5, 0.105]])
     designs = [SimpleNamespace(success=True)] * 3
-    volume = Achieved("least volume", 6e-5, 5e-5, 1.0, "volume")
-    strain = Achieved("least strain", 0.12, 0.12, 1.0, "dimensionless")
+    volume = Achieved("least volume", 6e-5, 5e-5, "volume")
+    strain = Achieved("least strain", 0.12, 0.12, "dimensionless")
     front: Any = SimpleNamespace(objectives=(volume, strain), values=values, designs=designs)
     axes = draw_trade_off(front)
     given = Figure().subplots()
@@ -291,7 +291,6 @@ REFUSED = {
     "two forms": (lambda t: t.replace("taper = true", "taper = true, knots = 5"), "write knots = 9 for a spline or"),
     "a form of a number": (lambda t: t.replace("outer_radius =", "length ="), "only outer_radius, inner_radius, "),
     "no table": (lambda t: re.sub("= { taper.*", "= 3", t), 'outer_radius: write { bounds = ["8 mm", "25 mm"] }'),
-    "choices beside bounds": (lambda t: t.replace("taper = true,", "choices = [1],"), "a number with choices has "),
     "no case": (lambda t: t.replace("[[case]]", "[case]"), "write each below a line [[case]]"),
     "a push": (lambda t: t.replace('"50 N"', '"-50 N"'), "case 1: base_tension '-50 N': a tendon cannot push"),
     "two tensions": (lambda t: t.replace('"50 N"', '["50 N", "60 N"]'), "case 1: base_tension: 2 given"),
@@ -310,6 +309,13 @@ def test_bad_tasks_are_refused_in_one_line(what, task):
     said = refused(lambda: read_task(path).design())
     assert said.startswith(f"{path}: ")
     assert message in said
+
+
+def test_the_bounds_of_a_free_target_have_its_unit(task):
+    text = (
+        TASK.replace('"50 N"', '"tip_angle=20 deg"') + '\n[free."base_tension_1.value"]\nbounds = ["10 deg", "1 rad"]\n'
+    )
+    assert read_task(task(text)).arguments["bounds"]["base_tension_1.value"] == pytest.approx([np.pi / 18, 1.0])
 
 
 def test_a_bad_task_writes_nothing(fails, task, tmp_path):
@@ -337,13 +343,13 @@ def test_the_template_is_a_task_and_has_every_key(run, task):
     before, fit, after = re.split(r"(^# \[uncertain\].*?\n\n)", text, flags=re.M | re.S)
     for line in re.findall(r"^# \w+ = .*$", before + after, flags=re.M):
         assert "unknown key" not in refusal(task((before + after).replace(line, line[2:])))
-    assert len(fit.splitlines()) == 2 + len(KEYS["uncertain"])
-    required = {name: [key for key, required in keys.items() if required] for name, keys in KEYS.items()}
-    one_each = {"": ["robot"], "case": ["base_tension"], "uncertain": ["data"], "limit": ["quantity"]}
-    assert required == one_each | {"free": [], "objective": []}
+    assert len(fit.splitlines()) == 2 + sum(map(len, KEYS["uncertain"]))
+    shown = re.findall(r"^(?:# )?(?:outer_radius = \{ )?(\w+) = ", text, flags=re.M)
+    tables = re.findall(r"^(?:# )?\[+(\w+)\]+", text, flags=re.M)
+    assert {*shown, *tables} == {key for keys in KEYS.values() for key in (*keys[0], *keys[1])}
 
 
 def test_a_trade_off_has_two_objectives(fails, task):
     assert "give two objectives" in fails("design", task(), "--pareto", 3)
-    message = "choices, starts and weights have no place in a trade-off"
+    message = "starts and weights have no place in a trade-off"
     assert message in fails("design", task("starts = 8\n" + TASK), "--pareto", 3)

@@ -101,7 +101,7 @@ def test_many_starts_of_which_some_are_no_bodies():
     assert not problem(thin).usable
     assert found.success
     assert len(found.starts) == 5  # the body itself, and from the best four of the others
-    assert min(found.starts) < 1e-7  # relative standard deviation of the curvature
+    assert min(found.starts) < 1e-7  # variance of the curvature over that of the start
     assert np.array(list(found.value.values())) == pytest.approx(np.array(list(alone.value.values())), rel=1e-5)
 
 
@@ -137,7 +137,7 @@ def test_the_loss_at_a_given_angle_does_not_depend_on_the_taper():
 # --- least peak strain ---------------------------------------------------------------------------
 
 
-def even_strain(E, angle=1.0):
+def even_strain(angle=1.0):
     """A solid body with R kappa = e everywhere, at the least peak that a body of this angle can have.
 
     E J kappa = T d with J = pi R^4 / 4 and T = T_base exp(-mu phi) makes R^3 exp(mu phi) constant, and with
@@ -154,7 +154,7 @@ def even_strain(E, angle=1.0):
     return e, base(e), base(e) - MU * e * L / 3
 
 
-def least_strain(bounds=(0.010, 0.030), moduli=()):
+def least_strain(bounds=(0.010, 0.030)):
     return cddf.design(
         paper_body("exact", inner_radius=0.0, outer_radius=(0.0150, 0.0130)),
         cddf.Least("strain"),
@@ -162,31 +162,18 @@ def least_strain(bounds=(0.010, 0.030), moduli=()):
         bounds={"outer_radius": bounds},
         constraints=[cddf.Limit("tip_angle", equal=1.0)],
         cases=cddf.LoadCase(T),
-        choices={"youngs_modulus": moduli} if moduli else None,
     )
 
 
 def test_the_least_peak_strain_is_even_strain_of_a_cone():
-    found, (strain, base, tip) = least_strain(), even_strain(E)
+    found, (strain, base, tip) = least_strain(), even_strain()
     assert found.success
     assert found.objective == pytest.approx(strain, rel=CLOSED)
     assert found.value == pytest.approx({"outer_radius.base": base, "outer_radius.tip": tip}, rel=1e-6)
     # dead certain by its price: how the peak grows with the angle, against the closed form at 1 +- h
     h = 1e-4
-    slope = (even_strain(E, 1 + h)[0] - even_strain(E, 1 - h)[0]) / (2 * h)
+    slope = (even_strain(1 + h)[0] - even_strain(1 - h)[0]) / (2 * h)
     assert limit_of(found, "tip_angle", "equal").multiplier == pytest.approx(slope, rel=1e-5)
-
-
-def test_the_best_of_a_few_choices():
-    """Three materials: the closed form tells how much each is strained at least, the stiffest the least."""
-    moduli = (1.0e6, 1.4e6, 2.0e6)
-    found = least_strain(moduli=moduli)
-    strains = [even_strain(modulus)[0] for modulus in moduli]
-    assert [chosen["youngs_modulus"] for chosen, _ in found.choices] == list(moduli)
-    assert np.all(np.isfinite([value for _, value in found.choices]))
-    best = int(np.argmin(strains))
-    assert found.chosen == {"youngs_modulus": moduli[best]}
-    assert found.objective == pytest.approx(strains[best], rel=CLOSED)
 
 
 def test_a_bound_that_holds_has_its_price():
@@ -199,7 +186,7 @@ def test_a_bound_that_holds_has_its_price():
     assert number.value == pytest.approx(0.0155, rel=1e-9)
     assert found.free["outer_radius.tip"].status == "inside"
     assert found.free["outer_radius.tip"].multiplier == 0.0
-    assert found.objective > even_strain(E)[0]
+    assert found.objective > even_strain()[0]
     assert number.multiplier == pytest.approx((narrower.objective - wider.objective) / (2 * h), rel=1e-3)
 
 

@@ -87,6 +87,7 @@ def test_a_bore_grows_from_nothing_to_the_best(bore):
     assert np.array(list(found.value.values())) == pytest.approx(1e-3 * best.x, rel=1e-5)
     assert found.objectives[0].start == pytest.approx(tension(*bore), rel=1e-8)
     assert len(found.starts) == (2 if bore == START else 1)
+    assert ("Of 2 searches " in str(found)) == (bore == START)
 
 
 def test_a_limit_that_only_a_bore_keeps():

@@ -91,9 +91,20 @@ def test_breaks_are_where_the_third_derivative_of_a_spline_jumps_and_pieces_meet
         assert breakpoints(profile).shape == (0,)
 
 
+@pytest.mark.parametrize("kind", [cddf.Spline, cddf.Piecewise.linear])
+def test_knots_that_do_not_increase_are_refused(kind):
+    with pytest.raises(ValueError, match=r"arc_length must increase, got \[0.0, 0.1, 0.05, 0.14\] m; sort them"):
+        kind([0.0, 0.1, 0.05, 0.14], HEIGHTS[:4])
+
+
 @pytest.mark.parametrize(
     ("ends", "count", "message"),
-    [([0.1], 3, "3 pieces need 2 ends"), (0.1, 2, "2 pieces need 1 ends"), ([0.05, 0.1], 2, "got ends of shape")],
+    [
+        ([0.1], 3, "3 pieces need 2 ends"),
+        (0.1, 2, "2 pieces need 1 ends"),
+        ([0.05, 0.1], 2, "got ends of shape"),
+        ([0.1, 0.05], 3, "ends must increase"),
+    ],
 )
 def test_piecewise_refuses_ends_that_do_not_fit_its_pieces(ends, count, message):
     with pytest.raises(ValueError, match=f"Piecewise: .*{message}"):

@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from ..errors import InputError, known_names
-from ..history.trace import trace
 from ..mechanics.fields import AnyFields
 from ..numerics.elements import Elements, elements_between, smooth_pieces
 from ..quantities import dimension_of
@@ -24,7 +23,6 @@ from ..units import Dimension
 from .load_cases import LoadCase
 
 BODY_NODES = 48  # in each smooth piece, for integrals over a body without an equilibrium
-SHORT_STEPS = 8  # in each of the four steps of a loop without an exact answer
 FLAT = "is zero of a body in the plane; give a tendon an angle, or a load three components"
 SEVERAL_ACROSS = "has two directions across the tip in space; take 'tip_stiffness_x', 'tip_stiffness_y' or one of z"
 
@@ -173,16 +171,6 @@ def _towards(axis: int) -> Callable[[Equilibrium], Array]:
     return lambda found: jnp.eye(found.tip_position.shape[-1])[axis]
 
 
-def _hysteresis(view: BodyView) -> Array:
-    """The tip angle at a tension during release minus that during pull, in a loop that repeats."""
-    (low, high), base = jnp.asarray(view.case.loop), view.equilibrium.base_tension
-    path = jnp.stack([base.at[0].set(high), base, base.at[0].set(low), base])
-    how = {"nodes": view.nodes, "max_turns": 3, "short_steps": SHORT_STEPS, "estimate_error": False, "throw": False}
-    angle = trace(view.body, path, view.case.loads, **how).tip_angle
-    inside = (low < base[0]) & (base[0] < high)
-    return jnp.where(inside, jnp.sign(angle[0] - angle[2]) * (angle[1] - angle[3]), jnp.nan)
-
-
 BODY_QUANTITIES: dict[str, BodyQuantity] = {
     quantity.name: quantity
     for quantity in (
@@ -214,7 +202,6 @@ BODY_QUANTITIES: dict[str, BodyQuantity] = {
         BodyQuantity("tendon_displacement", lambda v: v.equilibrium.tendon_displacement, per_tendon=True),
         BodyQuantity("tip_angle", lambda v: v.equilibrium.tip_angle),
         BodyQuantity("tip_twist", lambda v: v.equilibrium.twist[-1], unknown={2: FLAT}),
-        BodyQuantity("hysteresis", _hysteresis),
         BodyQuantity("tip_position", lambda v: v.equilibrium.tip_position),
         BodyQuantity("tip_x", lambda v: v.equilibrium.tip_position[0]),
         BodyQuantity("tip_y", lambda v: v.equilibrium.tip_position[1]),

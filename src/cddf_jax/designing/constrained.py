@@ -4,7 +4,6 @@ The multipliers are computed here. SciPy's SLSQP returns no multipliers of bound
 """
 
 from collections.abc import Callable
-from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -15,9 +14,7 @@ TOLERANCE = 1e-6  # scaled: of limits, and of the first-order optimality
 ACTIVE = 1e-5  # scaled: a limit or bound with a smaller margin is active
 UNIQUE = 1e-5  # relative: multipliers that differ by less are the same
 REFUSED = 1e3  # times the objective: the value where the function has no answer
-ITERATIONS = 300  # of one search, at most
-STALLED = 20  # iterations that hardly make the best point better: a search ends
-LITTLE = 1e-5  # of the objective, scaled: a smaller gain is hardly one
+ITERATIONS = 200  # of one search, at most
 OUT_OF_STEPS = 9  # status of SLSQP at the largest number of iterations: its last point was only tried
 
 Vector = Float[np.ndarray, " _"]
@@ -45,7 +42,6 @@ class LocalMinimum(NamedTuple):
     """Where a search ended, with the multipliers that satisfy the conditions of Karush, Kuhn and Tucker best there."""
 
     point: Point
-    iterations: int
     residual: float  # largest entry of the Lagrangian's gradient, over that of the objective's or 1
     limits: Vector  # multipliers, zero where there is a margin
     lower: Vector  # of the bounds
@@ -88,7 +84,7 @@ VectorFunction = Callable[[Vector], Point]  # an objective and its limits, with 
 
 
 def minimise_constrained(function: VectorFunction, start: Vector, lower: Vector, upper: Vector) -> LocalMinimum:
-    """Search from one start with SLSQP, which creeps along a limit that bends with the objective: there it is stopped.
+    """Search from one start with SLSQP.
 
     Args:
         function: values and exact first derivatives anywhere within the bounds.
@@ -97,7 +93,7 @@ def minimise_constrained(function: VectorFunction, start: Vector, lower: Vector,
     """
     seen = _Seen(function, np.clip(start, lower, upper))
     equal = seen.last.equal
-    with np.errstate(all="ignore"), suppress(_StalledError):
+    with np.errstate(all="ignore"):
         found = minimize(
             lambda x: seen(x).objective,
             seen.last.x,
@@ -108,18 +104,11 @@ def minimise_constrained(function: VectorFunction, start: Vector, lower: Vector,
                 {"type": "eq", "fun": lambda x: seen(x).margins[equal], "jac": lambda x: seen(x).slopes[equal]},
             ],
             method="SLSQP",
-            callback=seen.after_iteration,
             options={"maxiter": ITERATIONS, "ftol": 1e-14},
         )
-        seen.iterations = found.nit
         last, most = seen(np.clip(found.x, lower, upper)), max(TOLERANCE, seen.best.violation)
-        if found.status != OUT_OF_STEPS and last.usable and last.violation <= most:
-            seen.best = last
-    return local_minimum(seen.best, lower, upper, seen.iterations)
-
-
-class _StalledError(Exception):
-    """The best point has hardly become better in the last iterations."""
+    done = found.status != OUT_OF_STEPS and last.usable and last.violation <= most
+    return local_minimum(last if done else seen.best, lower, upper)
 
 
 class _Seen:
@@ -131,8 +120,6 @@ class _Seen:
     def __init__(self, function: VectorFunction, start: Vector):
         self.function = function
         self.last = self.best = function(start)
-        self.iterations = 0
-        self.ranks: list[tuple[float, float]] = []  # of the best point after the last iterations
 
     def __call__(self, x: Vector) -> Point:
         if not np.array_equal(x, self.last.x):
@@ -144,20 +131,13 @@ class _Seen:
                 self.best = self.last
         return self.last
 
-    def after_iteration(self, _: Vector) -> None:
-        """Raise `_StalledError` where the last iterations hardly made the best point better."""
-        self.iterations += 1
-        self.ranks = [*self.ranks[-STALLED:], _rank(self.best)]
-        if len(self.ranks) > STALLED and np.all(np.ptp(self.ranks, axis=0) < LITTLE):
-            raise _StalledError
-
 
 def _rank(point: Point) -> tuple[float, float]:
     """Smaller is better: first the violation; where both satisfy the limits, the objective."""
     return max(point.violation, TOLERANCE), point.objective
 
 
-def local_minimum(point: Point, lower: Vector, upper: Vector, iterations: int = 0) -> LocalMinimum:
+def local_minimum(point: Point, lower: Vector, upper: Vector) -> LocalMinimum:
     """The multipliers that make the gradient of the Lagrangian smallest, and the size of that gradient."""
     unit, count = np.eye(point.x.size), point.margins.size
     slopes = np.concatenate([point.slopes, unit, -unit])
@@ -172,7 +152,7 @@ def local_minimum(point: Point, lower: Vector, upper: Vector, iterations: int = 
     left = float(np.max(np.abs(point.gradient - multipliers @ slopes)))
     residual = left / max(1.0, float(np.max(np.abs(point.gradient))))
     limits, *bounds = np.split(multipliers, [count, count + point.x.size])
-    return LocalMinimum(point, iterations, residual, limits, bounds[0], bounds[1], active, slopes[active], least)
+    return LocalMinimum(point, residual, limits, bounds[0], bounds[1], active, slopes[active], least)
 
 
 def least_violation(function: VectorFunction, start: Vector, lower: Vector, upper: Vector) -> LocalMinimum:

@@ -1,8 +1,7 @@
 """`design`: the body that meets an objective best within its limits."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from itertools import product
 from typing import TypeVar
 
 import jax
@@ -20,10 +19,10 @@ from ..statics.equilibrium import Equilibrium
 from ..statics.status import words_of
 from ..units import quantity
 from .free_numbers import Bounds, FreeNumbers, free_numbers_of
-from .load_cases import LoadCase, case_numbers
+from .load_cases import LoadCase
 from .objectives import Least, Limit, Objective
 from .problem import USABLE, DesignProblem, Kept, Term
-from .results import Design, design_of, displayed
+from .results import Design, design_of
 from .search import WANDERING, search_designs, search_starts
 
 STATIONS = 33  # evenly spaced places at which limits along the body are evaluated
@@ -41,7 +40,6 @@ def design(
     constraints: Limit | Sequence[Limit] = (),
     *,
     cases: LoadCase | Sequence[LoadCase],
-    choices: Mapping[str, Sequence[float]] | None = None,
     starts: int = 1,
     nodes: int = 16,
     worst: bool = False,
@@ -64,7 +62,6 @@ def design(
         constraints: `Limit`s. These are always kept, unless you limit the same quantity: kappa d <= 0.99 on the inside
             of a bend, a wall of a thousandth of the radius, tendons in the wall.
         cases: how the body is used: one `LoadCase`, or several; see also `uncertain_cases`.
-        choices: numbers that can only have certain values, by name; every combination is designed.
         starts: number of points within the bounds that are tried; searches begin at the best four and at the start.
         nodes: of the solver.
         worst: optimise the worst load case, not the weighted mean of all.
@@ -77,18 +74,9 @@ def design(
         InputError: for unknown names and contradictions, and where the start itself has no equilibrium.
     """
     check_whole("design: starts", starts, 1)
-    objectives, found = weighted(objective), []
     how = {"nodes": nodes, "worst": worst, "offsets_outside_wall": offsets_outside_wall}
-    for chosen in _combinations(manipulator, choices or {}, free):
-        numbers = {name: np.asarray(number) for name, number in chosen.items()}
-        body = case_numbers(manipulator).with_numbers(numbers).manipulator
-        problem = problem_of(body, objectives, free, bounds or {}, constraints, cases, **how)
-        if found:  # one scale for all, so that they can be compared
-            problem = replace(problem, terms=found[0][1].terms)
-        found.append((chosen, problem, search_designs(problem, search_starts(problem, starts))))
-    chosen, problem, best = min(found, key=lambda each: each[2].rank)
-    tried = tuple((each, displayed(problem, result.value)) for each, _, result in found) if choices else ()
-    return design_of(best, manipulator, tried, chosen)
+    problem = problem_of(manipulator, weighted(objective), free, bounds or {}, constraints, cases, **how)
+    return design_of(search_designs(problem, search_starts(problem, starts)), manipulator)
 
 
 def weighted(objective: Aim | Sequence[tuple[float, Aim]]) -> list[tuple[float, Objective]]:
@@ -108,22 +96,6 @@ def weighted(objective: Aim | Sequence[tuple[float, Aim]]) -> list[tuple[float, 
     if not found:
         raise InputError("design: give an objective")
     return found
-
-
-def _combinations(
-    body: Manipulator, choices: Mapping[str, Sequence[float]], free: Sequence[str]
-) -> Iterator[dict[str, float]]:
-    """Every combination of the choices, by name."""
-    lists = []
-    for name, values in choices.items():
-        case_numbers(body).number(name)
-        if name in free:
-            raise InputError(f"design: {name!r} is free and has choices; leave one out")
-        if not isinstance(values, list | tuple | np.ndarray) or len(values) == 0:
-            raise InputError(f"design: the choices of {name!r} must be a list of numbers, got {values!r}")
-        lists.append([quantity(value, "dimensionless", f"design: a choice of {name!r}") for value in values])
-    for numbers in product(*lists):
-        yield dict(zip(choices, numbers, strict=True))
 
 
 # --- the problem, checked ----------------------------------------------------------------------------
@@ -160,14 +132,13 @@ def problem_of(
         manipulator = manipulator.with_angles()
     numbers = free_numbers_of(used[0].of(manipulator), free, bounds)
     _check(manipulator, [*constraints, *(aim for _, aim in objectives)], numbers, used)
-    implied, one = _implied(manipulator, constraints, offsets_outside_wall=offsets_outside_wall), jnp.ones(())
-    limits = [(limit, False) for limit in constraints] + [(limit, True) for limit in implied]
+    limits, one = [*constraints, *_implied(manipulator, constraints, offsets_outside_wall)], jnp.ones(())
     problem = DesignProblem(
         manipulator,
         numbers,
         used,
         terms=tuple(Term(aim, jnp.asarray(weight, float), one) for weight, aim in objectives),
-        limits=tuple(Kept(jax.tree.map(jnp.asarray, limit), one, own) for limit, own in limits),
+        limits=tuple(Kept(jax.tree.map(jnp.asarray, limit), one) for limit in limits),
         stations=jnp.asarray(_stations(manipulator)),
         worst=worst,
         nodes=nodes,
@@ -202,7 +173,7 @@ def _sized(problem: DesignProblem) -> DesignProblem:
     return replace(problem, terms=tuple(terms), limits=tuple(limits))
 
 
-def _implied(body: Manipulator, limits: Sequence[Limit], *, offsets_outside_wall: bool) -> list[Limit]:
+def _implied(body: Manipulator, limits: Sequence[Limit], offsets_outside_wall: bool) -> list[Limit]:
     """The limits that every body must keep, unless the user limits the same quantity."""
     own = {limit.name for limit in limits}
     always = [Limit("crossing", most=CROSSING)]
@@ -242,8 +213,6 @@ def _check(
                 f"design: {part} is compared at {np.max(at):g} m, beyond the tip at {length:g} m; change at"
             )
     for case in cases:
-        if any(part.quantity == "hysteresis" for part in parts):
-            case.check_loop()
         for name in case.numbers:
             if name in free:
                 raise InputError(f"design: {name!r} is free, and {case.name or 'the load case'} sets it; leave one out")

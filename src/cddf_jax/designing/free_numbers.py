@@ -12,8 +12,8 @@ from jaxtyping import Array, Float
 from ..errors import InputError
 from ..numerics.given_numbers import check_numbers
 from ..robot.manipulator import Manipulator
-from ..statics.named_numbers import Case, stem_and_tendon, unit_of_name
-from ..units import DIMENSION_OF, Dimension, shown
+from ..statics.named_numbers import Case, stem_and_tendon
+from ..units import DIMENSION_OF, Dimension
 from .load_cases import LoadCase
 
 VALUE = re.compile(r"(pieces\.\d+\.?)*(base|tip|values\.\d+|\d+)?")  # a part of a profile
@@ -61,14 +61,9 @@ class FreeNumbers(eqx.Module):
         return case.with_numbers(manipulator, {name: x[i] for i, names in enumerate(self.names) for name in names})
 
 
-def number_in_words(name: str, value: float) -> str:
-    """A number of a body or a case with the unit that follows from its name."""
-    return shown(value, dimension_of_number(name))
-
-
-def dimension_of_number(name: str) -> Dimension:
-    """The dimension of a number of a body or a case; the zero of the angle of a tendon is arbitrary."""
-    return DIMENSION_OF[unit_of_name(name)]
+def dimension_in(case: Case, name: str) -> Dimension:
+    """The dimension of a number of a case, whose targets are angles or places in the place of tensions."""
+    return DIMENSION_OF[case.unit(name)]
 
 
 def free_numbers_of(case: Case, free: Sequence[str], bounds: Bounds) -> FreeNumbers:
@@ -83,20 +78,19 @@ def free_numbers_of(case: Case, free: Sequence[str], bounds: Bounds) -> FreeNumb
     for name in bounds:
         if name not in free:
             raise InputError(f"design: {name!r} has bounds and is not free; add it to free")
-    rows = []
+    rows, dimensions = [], []
     for group in free:
         for tied in numbers_under(case, group):
             value = _shared(case, group, tied)
-            rows.append((tied, value, *_bounds_of(group, value, bounds)))
+            dimensions.append(dimension_in(case, tied[0]))
+            rows.append((tied, value, *_bounds_of(group, value, bounds, dimensions[-1])))
     flat = [name for tied, *_ in rows for name in tied]
     for name in flat:
         if flat.count(name) > 1:
             raise InputError(f"design: {name!r} is free twice; leave one out")
     names = tuple(tied for tied, *_ in rows)
     start, low, high = np.transpose([numbers for _, *numbers in rows])
-    origin = (start == 0) | [
-        dimension_of_number(tied[0]) == "angle" for tied in names
-    ]  # numbers that have no size of their own
+    origin = (start == 0) | (np.array(dimensions) == "angle")  # numbers that have no size of their own
     size = np.minimum(high - low, np.where(origin, np.inf, np.abs(start)))
     return FreeNumbers(names, start, low, high, size)
 
@@ -110,9 +104,9 @@ def _shared(case: Case, group: str, tied: tuple[str, ...]) -> float:
     return values[0]
 
 
-def _bounds_of(group: str, value: float, bounds: Bounds) -> tuple[float, float]:
+def _bounds_of(group: str, value: float, bounds: Bounds, dimension: Dimension) -> tuple[float, float]:
     if group not in bounds:
-        if dimension_of_number(group) == "angle":
+        if dimension == "angle":  # whose zero is arbitrary
             return value - np.pi, value + np.pi
         if value <= 0:
             raise InputError(f"design: {group!r} starts at {value:g}; give it bounds")

@@ -2,25 +2,24 @@
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import replace
+from itertools import groupby
 from typing import TYPE_CHECKING, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PyTree
-from scipy.special import ndtri
+from jaxtyping import PyTree
 
 from ..errors import InputError
 from ..estimation.determination import IDENTIFIED, PRIOR_ONLY
 from ..mechanics.directions import as_directions
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
-from ..robot.profiles import Scalar, as_number, as_optional_number
+from ..robot.profiles import Scalar, as_number
 from ..statics.equilibrium import Equilibrium
 from ..statics.named_numbers import Case
 from ..statics.solve import solve
-from ..statics.targets import Target, TipPosition
 
 if TYPE_CHECKING:
     from ..identification.fit import Fit
@@ -43,8 +42,6 @@ class LoadCase(eqx.Module):
         numbers: numbers of the body that have other values in this case, by name, e.g. {"youngs_modulus": 1.5e6}.
         weight: of this case in means over the cases, above 0.
         name: in tables and messages.
-        loop: (low, high), N, between which the base tension of the first tendon goes up and down, for the quantity
-            "hysteresis". It is evaluated at `base_tension`, which lies between them; the other tendons keep theirs.
     """
 
     base_tension: PyTree = eqx.field(converter=lambda given: jax.tree.map(as_number, given))
@@ -55,12 +52,8 @@ class LoadCase(eqx.Module):
     )
     weight: Scalar = eqx.field(default=1.0, converter=as_number)
     name: str = eqx.field(default="", static=True)
-    loop: Float[Array | np.ndarray, "2"] | None = eqx.field(default=None, converter=as_optional_number)
 
     def __check_init__(self):
-        loop = self.loop
-        if isinstance(loop, np.ndarray) and not (loop.shape == (2,) and 0 <= loop[0] < loop[1] < np.inf):
-            raise InputError(f"LoadCase: loop must be two tensions (low, high), N, got {loop.tolist()}")
         if isinstance(self.weight, np.ndarray) and not (np.isfinite(self.weight) and self.weight > 0):
             raise InputError(f"LoadCase: the weight must be above 0, got {self.weight:g}")
 
@@ -86,25 +79,12 @@ class LoadCase(eqx.Module):
         body = self.body(manipulator)
         return solve(body, self.base_tension, self.loads, direction=self.direction, nodes=nodes, throw=False)
 
-    def check_loop(self) -> None:
-        """Refuse a case without a loop, or one whose hysteresis cannot be computed."""
-        own = self.name or "the load case"
-        if self.loop is None:
-            raise InputError(f"design: 'hysteresis' needs a loop of {own}, as in LoadCase(40.0, loop=(5.0, 75.0))")
-        entries = jax.tree.leaves(self.base_tension, is_leaf=lambda entry: isinstance(entry, Target | TipPosition))
-        if any(isinstance(entry, Target | TipPosition) for entry in entries):
-            raise InputError(f"design: 'hysteresis' needs tensions of {own} in place of targets; give them in N")
-        low, at, high = self.loop[0], float(np.ravel(entries)[0]), self.loop[1]
-        if not low < at < high:
-            inside = f"must lie inside its loop, {low:g} to {high:g} N"
-            raise InputError(f"design: the base tension of {own}, {at:g} N, {inside}")
-
 
 def uncertain_cases(case: LoadCase, fit: "Fit", num: int = 16) -> tuple[LoadCase, ...]:
     """The case with bodies drawn from the uncertainty of a fit: log-normal about its estimate.
 
-    Sobol points through the normal quantile of the logarithms, so that a modulus stays positive. Mean and covariance of
-    the draws are those of the fit to a few percent.
+    Quasi-random normal points for the logarithms, so that a modulus stays positive. Mean and covariance of the draws
+    are those of the fit to a few percent.
 
     Args:
         case: how the body is used.
@@ -127,8 +107,8 @@ def uncertain_cases(case: LoadCase, fit: "Fit", num: int = 16) -> tuple[LoadCase
     logarithmic = np.log1p(fit.covariance[np.ix_(places, places)] / np.outer(centre, centre))
     from scipy.stats import qmc
 
-    points = ndtri(qmc.Sobol(len(own), rng=0).random(num))
-    values = centre * np.exp(points @ np.linalg.cholesky(logarithmic).T - np.diag(logarithmic) / 2)
+    points = qmc.MultivariateNormalQMC(-np.diag(logarithmic) / 2, logarithmic, rng=0).random(num)
+    values = centre * np.exp(points)
     label, weight = case.name or "case", float(case.weight) / num
     drawn = [{**case.numbers, **dict(zip(own, row, strict=True))} for row in values]
     return tuple(
@@ -142,18 +122,18 @@ def case_numbers(manipulator: Manipulator) -> Case:
 
 
 def of_every_case(function: Callable[[LoadCase], Answer], cases: Sequence[LoadCase]) -> Answer:
-    """A function of every case, with a leading axis on its values; similar cases are computed together."""
-    nameless = [replace(case, name="") for case in cases]
-    groups: dict[Hashable, list[int]] = {}
-    for i, case in enumerate(nameless):
+    """A function of every case, with a leading axis on its values; similar neighbours are computed together."""
+
+    def kind(case: LoadCase) -> Hashable:
         leaves, structure = jax.tree.flatten(case)
-        groups.setdefault((structure, tuple(map(np.shape, leaves))), []).append(i)
+        return structure, tuple(map(np.shape, leaves))
+
     found = []
-    for first, *others in groups.values():
+    for _, group in groupby((replace(case, name="") for case in cases), key=kind):
+        first, *others = group
         if others:
-            similar = [nameless[i] for i in (first, *others)]
-            found.append(jax.vmap(function)(jax.tree.map(lambda *x: jnp.stack(list(map(jnp.asarray, x))), *similar)))
+            similar = jax.tree.map(lambda *x: jnp.stack(list(map(jnp.asarray, x))), first, *others)
+            found.append(jax.vmap(function)(similar))
         else:
-            found.append(jax.tree.map(lambda x: x[None], function(nameless[first])))
-    places = np.argsort([i for group in groups.values() for i in group])
-    return jax.tree.map(lambda *parts: jnp.concatenate(parts)[places], *found)
+            found.append(jax.tree.map(lambda x: x[None], function(first)))
+    return jax.tree.map(lambda *parts: jnp.concatenate(parts), *found)

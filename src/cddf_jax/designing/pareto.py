@@ -13,7 +13,7 @@ from ..numerics.given_numbers import check_whole
 from ..robot.manipulator import Manipulator
 from ..units import shown
 from .design import Aim, problem_of, weighted
-from .free_numbers import Bounds, number_in_words
+from .free_numbers import Bounds
 from .load_cases import LoadCase
 from .objectives import Limit
 from .problem import DesignProblem
@@ -55,7 +55,7 @@ class ParetoFront:
         rows = []
         for found in self.designs:
             pair = [shown(each.end, each.dimension) for each in found.objectives]
-            rows.append([*pair, *(number_in_words(name, value) for name, value in found.value.items()), found.result])
+            rows.append([*pair, *(shown(each.value, each.dimension) for each in found.free.values()), found.result])
         return "\n".join(head + markdown_table([*numbers, ""], rows, right=numbers))
 
     def as_dict(self) -> dict[str, object]:

@@ -40,7 +40,6 @@ class Kept(eqx.Module):
 
     limit: Limit
     size: Scalar  # relative to which violations count
-    implied: bool = eqx.field(static=True)  # whether every body must keep it, and not the user asks for it
 
 
 class DesignEvaluation(NamedTuple):

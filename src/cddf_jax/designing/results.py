@@ -14,20 +14,18 @@ from jaxtyping import Array
 from ..files.writing import markdown_table
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import Equilibrium
-from ..statics.named_numbers import Case, tip_of_winding
+from ..statics.named_numbers import tip_of_winding
 from ..statics.status import Status, words_of
 from ..units import Dimension, preferred, shown
 from .constrained import ACTIVE, TOLERANCE
-from .free_numbers import PLACE, dimension_of_number, number_in_words
+from .free_numbers import PLACE, dimension_in
 from .load_cases import LoadCase, case_numbers
 from .problem import DesignProblem, Values, pieces_of
-from .search import SearchResult, undetermined
+from .search import GAIN, SearchResult, undetermined
 
-LARGEST = 12  # sensitivities in the report
 NOT_IN_JSON = ("manipulator", "start", "cases", "outcome")
+NOTHING = 1e-9  # of the objective: a number that changes it by less by as much as it is itself
 KINK = "not unique: limits bind at one place"
-Fixed = tuple[int | None, str]  # a number that is not free: its load case, None for the body; and its name there
-Choices = tuple[tuple[dict[str, float], float], ...]  # numbers by name, and the objective that was reached with them
 
 
 class Achieved(NamedTuple):
@@ -36,7 +34,6 @@ class Achieved(NamedTuple):
     name: str
     start: float
     end: float
-    weight: float
     dimension: Dimension
 
 
@@ -49,6 +46,7 @@ class FreeNumber(NamedTuple):
     upper: float
     status: str  # "inside", "at lower bound" or "at upper bound"
     multiplier: float  # how much better the objective becomes per unit of a wider bound; NaN as in `LimitReport`
+    dimension: Dimension
 
 
 class LimitReport(NamedTuple):
@@ -63,7 +61,6 @@ class LimitReport(NamedTuple):
     multiplier: float  # how much better the objective becomes per unit of a wider limit; NaN where that is not unique
     arc_length: float  # m, where it is tightest; NaN for a quantity that does not vary along the body
     case: str  # the load case; "" for the body itself
-    implied: bool  # whether it is a limit that every body must keep, and not the user's
     dimension: Dimension
 
 
@@ -72,7 +69,8 @@ class Design:
     """The body that was found, SI units.
 
     A multiplier is NaN if the design is not feasible, and if several limits bind at one place: relaxing one of them
-    then gains another amount than tightening it costs.
+    then gains another amount than tightening it costs. Multipliers and sensitivities of a single `Even` or `Near` are
+    those of the square, of which `objective` is the root.
     """
 
     manipulator: Manipulator  # the body that was found
@@ -87,9 +85,7 @@ class Design:
     blocking: tuple[str, ...]  # limits that contradict each other, if no body keeps all of them
     optimality: float  # first-order: largest entry of the gradient of the Lagrangian, scaled
     violation: float  # largest, scaled
-    starts: tuple[float, ...]  # the objective reached from each start, inf if not feasible
-    choices: Choices  # the objective reached with each combination of choices, inf if not feasible
-    chosen: dict[str, float]  # of the choices, the best
+    starts: tuple[float, ...]  # of each search its end as it is made small, relative to the start; inf if not feasible
     cases: tuple[LoadCase, ...]  # how the body is used
     remarks: tuple[str, ...]  # further notes in words
     outcome: SearchResult = field(repr=False)
@@ -101,18 +97,15 @@ class Design:
     def as_dict(self) -> dict[str, object]:
         """The design for JSON, SI units."""
         own = {each.name: getattr(self, each.name) for each in fields(self) if each.name not in NOT_IN_JSON}
-        return own | {
-            "sensitivity": self.sensitivity if _follows(self) else {},
-            "choices": [{"numbers": values, "objective": objective} for values, objective in self.choices],
-        }
+        return {**own, "sensitivity": self.sensitivity if _follows(self) else {}}
 
     @cached_property
     def sensitivity(self) -> dict[str, float]:
-        """Derivatives of the best objective by numbers of body and load cases that are not free, per SI unit.
+        """Derivatives of the best objective by numbers of the body that are not free, per SI unit.
 
-        They are the derivatives of the Lagrangian (envelope theorem), for several objectives those of the weighted sum.
-        NaN if several limits are active at one place, so that the slopes to both sides differ. Empty if the design is
-        not feasible. Computed when it is first read.
+        With one load case also by its tensions and loads. They are the derivatives of the Lagrangian (envelope
+        theorem), for several objectives those of the weighted sum. NaN if several limits are active at one place, so
+        that the slopes to both sides differ. Empty if the design is not feasible. Computed when it is first read.
         """
         if not self.feasible:
             return {}
@@ -120,10 +113,8 @@ class Design:
         fixed, unit = fixed_numbers(problem), unit_of_objective(problem)
         numbers = jnp.asarray(list(fixed.values()))
         gradient, slopes = map(np.asarray, _slopes(problem, jnp.asarray(local.point.x), tuple(fixed), numbers))
-        alone = len(self.cases) == 1
-        labels = [name if case is None or alone else f"case {case + 1}: {name}" for case, name in fixed]
-        columns = zip(labels, gradient, slopes.T, strict=True)
-        return {label: unit * (float(own) - local.price(limits)) for label, own, limits in columns}
+        columns = zip(fixed, gradient, slopes.T, strict=True)
+        return {name: unit * (float(own) - local.price(limits)) for name, own, limits in columns}
 
     @cached_property
     def equilibria(self) -> tuple[Equilibrium, ...]:
@@ -145,16 +136,14 @@ class Design:
         return {name: number.value for name, number in self.free.items()}
 
 
-def design_of(
-    outcome: SearchResult, start: Manipulator, choices: Choices = (), chosen: dict[str, float] | None = None
-) -> Design:
+def design_of(outcome: SearchResult, start: Manipulator) -> Design:
     """The result of a search, with everything that is reported."""
     problem, local, objectives = outcome.problem, outcome.local, []
     body, at_start, at_end = problem.body(outcome.z), problem.evaluation(problem.free.scaled_start), outcome.evaluation
     for i, term in enumerate(problem.terms):
         aim, values = term.objective, (problem.over_the_cases(i, each.aims[i]) for each in (at_start, at_end))
         start_value, end_value = (aim.displayed(float(value)) for value in values)
-        objectives.append(Achieved(str(aim), start_value, end_value, float(term.weight), aim.dimension))
+        objectives.append(Achieved(str(aim), start_value, end_value, aim.dimension))
     codes = zip(problem.cases, at_end.codes, strict=True)
     result = design_result(outcome)
     return Design(
@@ -170,9 +159,7 @@ def design_of(
         blocking=outcome.blocking,
         optimality=local.residual,
         violation=outcome.violation,
-        starts=tuple(displayed(problem, value) for value in outcome.starts),
-        choices=choices,
-        chosen=chosen or {},
+        starts=outcome.starts,
         cases=problem.cases,
         remarks=tuple(
             f"{case.name or 'the load case'}: {words_of(code)}" for case, code in codes if code != Status.successful
@@ -204,20 +191,13 @@ def unit_of_objective(problem: DesignProblem) -> float:
     return sense * float(term.size) / float(term.weight)
 
 
-def displayed(problem: DesignProblem, value: float) -> float:
-    """The optimiser's objective as the user reads it: the value of one objective, or the weighted sum of several."""
-    if len(problem.terms) != 1 or not np.isfinite(value):
-        return value
-    (term,) = problem.terms
-    return term.objective.displayed(value * float(term.size) / float(term.weight))
-
-
 # --- what binds ----------------------------------------------------------------------------------
 
 
 def free_numbers(outcome: SearchResult) -> dict[str, FreeNumber]:
     """The free numbers, with the multipliers of their bounds."""
-    local, free, unit, found = outcome.local, outcome.problem.free, abs(unit_of_objective(outcome.problem)), {}
+    problem, local, unit, found = outcome.problem, outcome.local, abs(unit_of_objective(outcome.problem)), {}
+    free, case = problem.free, problem.cases[0].of(problem.manipulator)
     columns = (free.start, np.asarray(free.numbers(outcome.z)), free.lower, free.upper, free.size)
     for i, row in enumerate(zip(*columns, strict=True)):
         start, value, lower, upper, size = map(float, row)
@@ -225,7 +205,8 @@ def free_numbers(outcome: SearchResult) -> dict[str, FreeNumber]:
         status = "at lower bound" if at_lower else "at upper bound" if at_upper else "inside"
         own = unit / size * (np.arange(local.point.x.size) == i)
         worth = local.price(lower=own, upper=own) if local.feasible else np.nan
-        found[free.label(i)] = FreeNumber(start, value, lower, upper, status, worth)
+        dimension = dimension_in(case, free.names[i][0])
+        found[free.label(i)] = FreeNumber(start, value, lower, upper, status, worth, dimension)
     return found
 
 
@@ -250,7 +231,6 @@ def limit_reports(outcome: SearchResult, length: float) -> tuple[LimitReport, ..
                 multiplier=local.price(weights) if local.feasible else np.nan,
                 arc_length=float(problem.stations[at[-1]]) * length if limit.known.along else np.nan,
                 case=case if limit.known.bent else "",
-                implied=kept.implied,
                 dimension=limit.known.dimension,
             )
             reports.append(report)
@@ -260,39 +240,25 @@ def limit_reports(outcome: SearchResult, length: float) -> tuple[LimitReport, ..
 # --- numbers that are not free --------------------------------------------------------------------
 
 
-def fixed_numbers(problem: DesignProblem) -> dict[Fixed, float]:
-    """All numbers of body and load cases that are not free."""
-    free = {name for names in problem.free.names for name in names}
-    free |= {tip_of_winding(name) for name in free}
-    body = problem.manipulator
-    set_by_cases = {name for case in problem.cases for name in case.numbers}
-    of_body = _numbers_of(case_numbers(body))
-    found: dict[Fixed, float] = {(None, name): x for name, x in of_body.items() if name not in free | set_by_cases}
-    for i, case in enumerate(problem.cases):
-        if len(case.numbers) == 0 or len(problem.cases) == 1:
-            acting = _numbers_of(replace(case, direction=None).of(body))
-            found |= {(i, name): x for name, x in acting.items() if name not in {*of_body, *free}}
-    return found
+def fixed_numbers(problem: DesignProblem) -> dict[str, float]:
+    """The numbers of the body, and of a single load case, that are not free; without arc lengths."""
+    given = {name for names in problem.free.names for name in names}
+    given |= {tip_of_winding(name) for name in given} | {name for case in problem.cases for name in case.numbers}
+    first, *others = problem.cases
+    case = case_numbers(problem.manipulator) if others else replace(first, direction=None).of(problem.manipulator)
+    numbers = {name: x for name, x in case.numbers.items() if name not in given and not PLACE.search(name)}
+    return {name: float(np.asarray(x)) for name, x in numbers.items()}
 
 
-def _numbers_of(case: Case) -> dict[str, float]:
-    """The numbers of a case by name, without arc lengths."""
-    return {name: float(np.asarray(number)) for name, number in case.numbers.items() if not PLACE.search(name)}
-
-
-def with_fixed(problem: DesignProblem, numbers: Mapping[Fixed, Array]) -> DesignProblem:
+def with_fixed(problem: DesignProblem, numbers: Mapping[str, Array]) -> DesignProblem:
     """The problem with other fixed numbers; another length stretches everything along the body."""
-
-    def of(place: int | None) -> dict[str, Array]:
-        return {name: x for (case, name), x in numbers.items() if case == place}
-
-    body = case_numbers(problem.manipulator).with_numbers(of(None)).manipulator
-    cases = [case.with_numbers(body, of(i))[1] for i, case in enumerate(problem.cases)]
-    return replace(problem, manipulator=body, cases=tuple(cases))
+    first, *others = problem.cases
+    body, first = first.with_numbers(problem.manipulator, numbers)
+    return replace(problem, manipulator=body, cases=(first, *others))
 
 
 @eqx.filter_jit
-def _slopes(problem: DesignProblem, x: Array, fixed: tuple[Fixed, ...], numbers: Array) -> Values:
+def _slopes(problem: DesignProblem, x: Array, fixed: tuple[str, ...], numbers: Array) -> Values:
     """The derivatives of objective and margins by fixed numbers, on the last axis."""
     return jax.jacfwd(lambda numbers: with_fixed(problem, dict(zip(fixed, numbers, strict=True))).values(x)[0])(numbers)
 
@@ -309,28 +275,16 @@ def _head(found: Design) -> Iterator[str]:
         yield f"- in the way: {name}"
     if found.blocking:
         yield "- no body nearby keeps to all of these; relax one of them, or start elsewhere"
-    for name, value in found.chosen.items():
-        yield f"- chosen: {name} = {number_in_words(name, value)}"
-    for values, objective in found.choices:
-        numbers = ", ".join(f"{name} = {number_in_words(name, value)}" for name, value in values.items())
-        yield f"- with {numbers}: {_objective(found, objective)}"
     for remark in found.remarks:
         yield f"- {remark}"
     yield ""
 
 
-def _objective(found: Design, value: float) -> str:
-    """The objective in words: the value of one, or the weighted sum of several."""
-    if not np.isfinite(value):
-        return "not feasible"
-    return shown(value, found.objectives[0].dimension) if len(found.objectives) == 1 else f"{value:.5g}"
-
-
 def _numbers(found: Design) -> Iterator[str]:
     rows = []
     for name, free in found.free.items():
-        start, value, lower, upper = (number_in_words(name, x) for x in free[:4])
-        worth = "" if free.status == "inside" else _worth(found, free.multiplier, dimension_of_number(name))
+        start, value, lower, upper = (shown(x, free.dimension) for x in free[:4])
+        worth = "" if free.status == "inside" else _worth(found, free.multiplier, free.dimension)
         rows.append((name, start, value, f"{lower} to {upper}", free.status, worth))
     head = ("free number", "start", "design", "bounds", "", "gain by a wider bound")
     yield from markdown_table(head, rows, right=("start", "design"))
@@ -341,7 +295,7 @@ def _limits(found: Design) -> Iterator[str]:
     rows, signs = [], {"least": ">=", "most": "<=", "equal": "="}
     for limit in found.limits:
         bound, reached = shown(limit.limit, limit.dimension), shown(limit.reached, limit.dimension)
-        text = f"{limit.name} {signs[limit.side]} {bound}{' (implied)' if limit.implied else ''}"
+        text = f"{limit.name} {signs[limit.side]} {bound}"
         place = "" if np.isnan(limit.arc_length) else f"s = {shown(limit.arc_length, 'length')}"
         where = ", ".join(part for part in (limit.case, place) if part)
         worth = _worth(found, limit.multiplier, limit.dimension) if limit.active else ""
@@ -362,27 +316,15 @@ def _worth(found: Design, slope: float, dimension: Dimension) -> str:
 
 
 def _sensitivity(found: Design) -> Iterator[str]:
-    """The largest logarithmic derivatives of the objective, if neither it nor the number is zero."""
-    if not _follows(found):
-        return
-    size, rows, kinks = abs(found.objective), {}, []
-    numbers = zip(fixed_numbers(found.outcome.problem).values(), found.sensitivity.items(), strict=True)
-    for value, (name, slope) in numbers:
-        change = slope * value
-        if dimension_of_number(name.split(": ")[-1]) == "angle":  # which has no size
-            name, change = f"{name}, by 1 deg", slope * np.radians(1.0) / 0.01
-        if np.isnan(slope):
-            kinks.append(name)
-        elif size > 0 and abs(change) > 1e-9 * size:
-            rows[name] = change / size
-    largest = sorted(rows.items(), key=lambda item: -abs(item[1]))[:LARGEST]
-    lines = [(name, f"{percent:+.3g} %") for name, percent in largest]
-    if kinks:
-        lines.append((", ".join(kinks), KINK))
-    several = "" if len(found.objectives) == 1 else " (of several: their weighted sum)"
-    head = f"how the best objective follows{several}", "change by 1 % changes it by"
-    yield from markdown_table(head, lines, right=head[1:])
-    yield ""
+    """The derivatives of the best objective that count, or of several objectives those of their weighted sum."""
+    if _follows(found):
+        rows, case = [], found.cases[0].of(found.manipulator)
+        for name, number in fixed_numbers(found.outcome.problem).items():
+            slope = found.sensitivity[name]
+            if not abs(slope * number) <= NOTHING * abs(found.objective):
+                rows.append((name, _worth(found, slope, dimension_in(case, name))))
+        yield from markdown_table(("number that is not free", "the best objective changes by"), rows)
+        yield ""
 
 
 def _follows(found: Design) -> bool:
@@ -392,16 +334,11 @@ def _follows(found: Design) -> bool:
 
 
 def _foot(found: Design) -> Iterator[str]:
-    if len(found.objectives) > 1:
-        weights = ", ".join(f"{each.weight:g}" for each in found.objectives)
-        yield (
-            f"Each objective counts relative to its size at the start; weights {weights}: "
-            f"together {found.objective:.5g}."
-        )
     yield (
         f"Largest violation {found.violation:.1g} and first-order optimality {found.optimality:.1g} (scaled; "
         f"{TOLERANCE:g} is asked for)."
     )
-    if len(found.starts) > 1:
-        ends = ", ".join(_objective(found, value) for value in found.starts)
-        yield f"Searches from {len(found.starts)} starts ended at {ends}."
+    if len(found.starts) > 1 and found.feasible:
+        best = min(found.starts)
+        alike = sum(value <= best + GAIN * abs(best) for value in found.starts)
+        yield f"Of {len(found.starts)} searches {alike} ended as well as the best."

@@ -11,8 +11,6 @@ from ..progress import each, stage
 from ..statics.status import Status
 from .constrained import (
     ACTIVE,
-    ITERATIONS,
-    LITTLE,
     TOLERANCE,
     LocalMinimum,
     Point,
@@ -24,6 +22,7 @@ from .problem import USABLE, DesignEvaluation, DesignProblem, pieces_of
 
 WANDERING = 16  # last stations, which are moved to where limits are broken between the others
 LOOKS = 6  # how often a search begins again where it ended
+LITTLE = 1e-4  # of the objective, scaled: a search that gains less does not begin again
 FINE = 768  # places at which limits are checked between the stations
 SEARCHES = 4  # from the best of many starts
 NEAR = 1e-2  # a margin that may be negative between the points of the grid
@@ -53,11 +52,6 @@ class SearchResult(NamedTuple):
         return self.local.point.objective if self.feasible else float("inf")
 
     @property
-    def rank(self) -> tuple[float, float]:
-        """Smaller is better."""
-        return self.value, self.violation
-
-    @property
     def evaluation(self) -> DesignEvaluation:
         return self.problem.evaluation(self.local.point.x)
 
@@ -70,7 +64,7 @@ class SearchResult(NamedTuple):
 def search_designs(problem: DesignProblem, starts: Sequence[np.ndarray]) -> SearchResult:
     """Searches that begin at some scaled free numbers; the first of those that end as well as the best."""
     found = [_repeated(problem, z) for z in each("search from start", starts)]
-    value, violation = min(each.rank for each in found)
+    value, violation = min((each.value, each.violation) for each in found)
     best = next(
         each
         for each in found
@@ -115,9 +109,8 @@ def _repeated(problem: DesignProblem, z: np.ndarray) -> SearchResult:
     while True:
         local, blocking = _minimum(problem, x)
         violation, places = broken_between(problem, local)
-        ended = local.iterations >= ITERATIONS or local.point.objective > before - LITTLE
-        done = violation <= TOLERANCE and (local.stationary or ended)
-        if done or not local.feasible or looks == LOOKS:
+        done = local.stationary or local.point.objective > before - LITTLE
+        if (done and violation <= TOLERANCE) or not local.feasible or looks == LOOKS:
             return SearchResult(local, problem, violation, blocking)
         kept, wandering = np.split(np.asarray(problem.stations), [-WANDERING])
         moved = np.concatenate([kept, wandering[len(places) :], places])  # in place of the oldest
@@ -135,7 +128,7 @@ def _minimum(problem: DesignProblem, x: np.ndarray) -> tuple[LocalMinimum, tuple
     x = least.point.x[:-1]
     if least.point.objective <= TOLERANCE:
         return minimise_constrained(problem, x, *problem.bounds), ()
-    local = local_minimum(problem(x), *problem.bounds, local.iterations)
+    local = local_minimum(problem(x), *problem.bounds)
     return local, _blocking(problem, local.point, least)
 
 
@@ -152,26 +145,16 @@ def _blocking(problem: DesignProblem, point: Point, least: LocalMinimum) -> tupl
 
 
 def undetermined(problem: DesignProblem, z: np.ndarray) -> bool:
-    """Whether no free number changes an objective: at z it is what it was at the start, and in every other body.
+    """Whether no free number changes an objective: it is the same at z, at the start, and in bodies drawn around z.
 
-    The other bodies are drawn around z, within the bounds. Their equilibria differ, which a slope at z does not show.
+    The equilibria of these bodies differ, which a slope at z does not show. Inaccurate ones do not count.
     """
     drawn = np.random.default_rng(0).random((BODIES, z.size)) * problem.free.ranges
-    best = _sizes(problem, z)
-    if np.any(np.abs(_sizes(problem, problem.free.scaled_start) - best) > GAIN):
-        return False
-    others = np.array([_sizes(problem, z + (other - z) / 4) for other in drawn])
-    known = others[np.all(np.isfinite(others), axis=1)]
-    return len(known) > 0 and bool(np.all(np.abs(known - best) <= GAIN))
-
-
-def _sizes(problem: DesignProblem, z: np.ndarray) -> np.ndarray:
-    """Every objective over its size at the start; NaN for a body without an accurate equilibrium."""
-    found = problem.evaluation(z)
-    known = enumerate(zip(found.aims, problem.terms, strict=True))
-    sizes = [float(problem.over_the_cases(i, aim) / term.size) for i, (aim, term) in known]
-    accurate = np.isin(found.codes, USABLE) & (found.codes != Status.inaccurate)
-    return np.where(np.all(accurate), sizes, np.nan)
+    found = [problem.evaluation(x) for x in (problem.free.scaled_start, z, *(z + (drawn - z) / 4))]
+    accurate = [each for each in found if np.all(np.isin(each.codes, USABLE) & (each.codes != Status.inaccurate))]
+    terms = list(enumerate(problem.terms))
+    sizes = [[float(problem.over_the_cases(i, each.aims[i]) / term.size) for i, term in terms] for each in accurate]
+    return len(accurate) > 2 and bool(np.all(np.ptp(sizes, axis=0) <= GAIN))
 
 
 # --- between the stations ------------------------------------------------------------------------

@@ -1,6 +1,5 @@
 """Design tasks in TOML files with units; `template.toml` holds every key."""
 
-import re
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -20,7 +19,7 @@ from ..robot.profiles import Linear, Profile, Spline
 from ..units import Dimension, quantity
 from .body_quantities import BODY_QUANTITIES, quantity_named
 from .design import design
-from .free_numbers import dimension_of_number, numbers_under
+from .free_numbers import dimension_in, numbers_under
 from .load_cases import LoadCase, case_numbers, uncertain_cases
 from .objectives import Even, Least, Limit, Most, Near, Objective
 from .pareto import ParetoFront, pareto_front
@@ -30,23 +29,18 @@ Table = Mapping[str, object]
 Item = TypeVar("Item")
 
 TEMPLATE = Path(__file__).with_name("template.toml").read_text(encoding="utf-8")
-_HEADER = re.compile(r"(?:# )?\[+(\w+)\]+ +# ")
-_KEY = re.compile(r"(?:# )?(?:outer_radius = { )?(\w+) = .+? +# (required: )?")
-
-
-def _keys() -> dict[str, dict[str, bool]]:
-    """The keys of every table, and whether each is required; "" stands for the keys above the first table."""
-    tables: dict[str, dict[str, bool]] = {"": {}}
-    for line in TEMPLATE.splitlines():
-        if header := _HEADER.match(line):
-            tables[header[1]] = {}
-        elif key := _KEY.match(line):
-            tables[list(tables)[-1]][key[1]] = key[2] is not None
-    return tables
-
-
-KEYS = _keys()
 _AIMS: dict[str, type[Objective]] = {"least": Least, "most": Most, "even": Even, "near": Near}
+_OPTIONS = ("starts", "nodes", "worst", "offsets_outside_wall")  # of `design`
+_OF_A_CASE = ("name", "direction", "tip_force", "tip_moment", "point_loads", "gravity", "weight", "numbers")
+# the keys that each table must have, and those that it may have; "" stands for the keys above the first table
+KEYS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "": (("robot", "free", "case", "objective"), ("kinematics", *_OPTIONS, "uncertain", "limit")),
+    "free": ((), ("bounds", "taper", "knots")),
+    "case": (("base_tension",), _OF_A_CASE),
+    "uncertain": (("data",), ("columns", "num")),
+    "objective": ((), (*_AIMS, "value", "at", "weight")),
+    "limit": (("quantity",), ("least", "most", "equal")),
+}
 
 
 def template() -> str:
@@ -71,10 +65,10 @@ class DesignTask(NamedTuple):
     def pareto_front(self, num: int) -> ParetoFront:
         """As `pareto_front`, of the two objectives of the task; errors name the file."""
         aims = self.arguments["objective"]
-        given = {name: value for name, value in self.arguments.items() if name not in ("objective", "choices")}
+        given = {name: value for name, value in self.arguments.items() if name != "objective"}
         with within(self.path):
-            if self.arguments["choices"] or "starts" in given or any(weight != 1 for weight, _ in aims):
-                raise InputError("choices, starts and weights have no place in a trade-off; take them out of the task")
+            if "starts" in given or any(weight != 1 for weight, _ in aims):
+                raise InputError("starts and weights have no place in a trade-off; take them out of the task")
             return pareto_front(objectives=[aim for _, aim in aims], num=num, **given)
 
 
@@ -85,15 +79,14 @@ def read_task(path: Path) -> DesignTask:
 
 
 def _task(table: Table, path: Path) -> DesignTask:
-    options = [key for key, required in KEYS[""].items() if not required]
-    check_keys(table, ("robot", "free", "case", "objective"), (*options, "uncertain", "limit"))
+    check_keys(table, *KEYS[""])
     body, columns, outside, gravity = read_robot_file(path.parent / _text(table, "robot"))
     if "kinematics" in table:
         body = replace(body, kinematics=table["kinematics"])
     read = _each(table, "case", lambda case: _case(case, body, gravity))
     cases = tuple(replace(case, name=case.name or f"case {i}") for i, case in enumerate(read, 1))
     free = _entries(table, "free")
-    measured, (body, bounds, choices) = body, _free(body, cases[0], free)
+    measured, (body, bounds) = body, _free(body, cases[0], free)
     read_as: tuple[str, ...] = (in_one_line(columns),) if columns else ()
     if gravity is not None:
         read_as += (f"{gravity_in_words(gravity)}, of the robot file, in every case without a gravity of its own",)
@@ -103,41 +96,33 @@ def _task(table: Table, path: Path) -> DesignTask:
     arguments = {
         "manipulator": body,
         "objective": _each(table, "objective", _objective),
-        "free": tuple(name for name in free if name not in choices),
+        "free": tuple(free),
         "bounds": bounds,
         "constraints": _each(table, "limit", _limit) if "limit" in table else [],
         "cases": cases,
-        "choices": choices,
         "offsets_outside_wall": outside,
     }
-    arguments |= {key: table[key] for key in ("starts", "nodes", "worst", "offsets_outside_wall") if key in table}
+    arguments |= {key: table[key] for key in _OPTIONS if key in table}
     return DesignTask(path, arguments, read_as, gravity)
 
 
 # --- free numbers --------------------------------------------------------------------------------
 
 
-def _free(
-    body: Manipulator, used: LoadCase, table: Table
-) -> tuple[Manipulator, dict[str, float | np.ndarray], dict[str, float | np.ndarray]]:
-    """The body with its free profiles as splines or tapers where the task says so, bounds and choices."""
-    bounds, choices = {}, {}
+def _free(body: Manipulator, used: LoadCase, table: Table) -> tuple[Manipulator, dict[str, float | np.ndarray]]:
+    """The body with its free profiles as splines or tapers where the task says so, and bounds."""
+    bounds = {}
     for name, entry in table.items():
         with within(f"free {name}"):
             if not isinstance(entry, dict):
                 raise InputError(f'write {{ bounds = ["8 mm", "25 mm"] }}, got {entry!r}')
-            _check("free", entry)
-            numbers_under(used.of(body), name)
-            dimension = dimension_of_number(name)
+            check_keys(entry, *KEYS["free"])
+            dimension = dimension_in(used.of(body), numbers_under(used.of(body), name)[0][0])
             if "knots" in entry or "taper" in entry:
                 body = _formed(body, name, entry)
             if "bounds" in entry:
                 bounds[name] = _nested(entry["bounds"], dimension, "bounds")
-            if "choices" in entry:
-                if len(entry) > 1:
-                    raise InputError("a number with choices has nothing beside them")
-                choices[name] = _nested(entry["choices"], dimension, "choices")
-    return body, bounds, choices
+    return body, bounds
 
 
 def _formed(body: Manipulator, name: str, entry: Table) -> Manipulator:
@@ -167,16 +152,13 @@ def _case(table: Table, body: Manipulator, gravity: tuple[float, ...] | None) ->
     direction = table.get("direction")
     loads = {key: _text(table, key) if key in table else None for key in ("tip_force", "tip_moment", "gravity")}
     numbers = _entries(table, "numbers") if "numbers" in table else {}
-    for name in numbers:
-        case_numbers(body).number(name)
     return LoadCase(
         read_actuation(_texts(table, "base_tension"), body),
         read_loads(**loads, points=_texts(table, "point_loads"), mounted=gravity),
         read_directions(direction if isinstance(direction, list | None) else [direction], body),
-        {name: quantity(value, dimension_of_number(name), name) for name, value in numbers.items()},
+        {name: quantity(value, dimension_in(case_numbers(body), name), name) for name, value in numbers.items()},
         quantity(table.get("weight", 1.0), "dimensionless", "weight"),
         str(table.get("name", "")),
-        _nested(table["loop"], "force", "loop") if "loop" in table else None,
     )
 
 
@@ -189,7 +171,7 @@ def _uncertain(
     from ..measurements.trials import read_tables
 
     with within("uncertain"):
-        _check("uncertain", table)
+        check_keys(table, *KEYS["uncertain"])
         drawn: dict[str, Any] = {"num": table["num"]} if "num" in table else {}
         columns = {name: str(meant) for name, meant in _entries(table, "columns").items()} if "columns" in table else {}
     tables = read_tables([folder / file for file in _texts(table, "data")], columns)
@@ -263,12 +245,6 @@ def _each(table: Table, key: str, read: Callable[[Table], Item]) -> list[Item]:
     found = []
     for i, each in enumerate(value, 1):
         with within(f"{key} {i}"):
-            _check(key, each)
+            check_keys(each, *KEYS[key])
             found.append(read(each))
     return found
-
-
-def _check(name: str, table: Table) -> None:
-    """Refuse unknown keys of a table, and require those that must be there."""
-    keys = KEYS[name]
-    check_keys(table, [key for key in keys if keys[key]], [key for key in keys if not keys[key]])

@@ -567,8 +567,6 @@ def _taper(name: str, value: Any, length: ArrayLike) -> Constant | Linear:
 
 # --- what `print` shows --------------------------------------------------------------------------
 
-_TOLD_IF_ZERO = ("friction_coefficient", "poissons_ratio")
-_OF_SPACE = ("poissons_ratio", "axial_factor", "shear_factor")
 _BESIDE = ("length", "offset", "angle", "rest_curvature")  # have words of their own
 
 
@@ -578,45 +576,31 @@ def _in_words(manipulator: Manipulator) -> str:
     Raises:
         TypeError: for a batch or traced numbers.
     """
-    if any(np.ndim(number) for number in (manipulator.length, manipulator.friction_coefficient)):
-        raise TypeError("a batch has no words")
     length, kind = float(manipulator.length), f"{manipulator.kinematics} kinematics"
     if manipulator.in_space:
         kind = "in space, its axis stretches and shears" if manipulator.extensible else "in space"
-    told = _told(manipulator, length, () if manipulator.in_space else _OF_SPACE)
-    rest = zip(STRAINS, manipulator.rest_curvature or (), strict=False)
-    return "\n".join(
-        [
-            f"Manipulator of {shown(length, 'length')}, {kind}",
-            *(words for words, varies in told if varies),
-            *(f"rest_curvature {name} {profile_in_words(part, length, 'curvature')}" for name, part in rest),
-            ", ".join(words for words, varies in told if not varies),
-            *(
-                f"point mass {i}: {shown(point.mass, 'mass')} at s = {shown(point.arc_length, 'length')}"
-                for i, point in enumerate(manipulator.point_masses, 1)
-            ),
-            *(f"tendon {i}: {_tendon(tendon, length)}" for i, tendon in enumerate(manipulator.tendons, 1)),
-        ]
-    )
+    lines = [f"Manipulator of {shown(length, 'length')}, {kind}", *_told(manipulator, length)]
+    for name, part in zip(STRAINS, manipulator.rest_curvature or (), strict=False):
+        lines.append(f"rest_curvature {name} {profile_in_words(part, length, 'curvature')}")
+    for i, point in enumerate(manipulator.point_masses, 1):
+        lines.append(f"point mass {i}: {shown(point.mass, 'mass')} at s = {shown(point.arc_length, 'length')}")
+    for i, tendon in enumerate(manipulator.tendons, 1):
+        end, side = length if tendon.end is None else float(tendon.end), f"side {tendon.side:+d}"
+        place = side if tendon.angle is None else f"angle {profile_in_words(tendon.angle, end, 'angle')}"
+        told = [f"offset {profile_in_words(tendon.offset, end)}", place, *_told(tendon, end)]
+        lines.append(f"tendon {i}: {', '.join(told)}")
+    return "\n".join(lines)
 
 
-def _told(owner: Manipulator | Tendon, length: float, left_out: Sequence[str] = ()) -> list[tuple[str, bool]]:
-    """What is given, in the order of the fields, and whether it is a profile; a number that is 0 is mostly left out."""
+def _told(owner: Manipulator | Tendon, length: float) -> list[str]:
+    """What is given, in the order of the fields; a number that is 0 is left out, except for friction."""
     told = []
     for name in (field.name for field in fields(owner)):
         value: Any = getattr(owner, name)
-        if name not in QUANTITIES or name in (*_BESIDE, *left_out) or value is None:
+        if name not in QUANTITIES or name in _BESIDE or value is None:
             continue
         if not isinstance(value, jax.Array | np.ndarray):
-            told.append((f"{name} {profile_in_words(value, length, dimension_of(name))}", True))
-        elif value or name in _TOLD_IF_ZERO:
-            told.append((f"{name} {shown(value, dimension_of(name))}", False))
+            told.append(f"{name} {profile_in_words(value, length, dimension_of(name))}")
+        elif value or name == "friction_coefficient":
+            told.append(f"{name} {shown(value, dimension_of(name))}")
     return told
-
-
-def _tendon(tendon: Tendon, length: float) -> str:
-    end = length if tendon.end is None else float(tendon.end)
-    side = f"side {tendon.side:+d}"
-    place = side if tendon.angle is None else f"angle {profile_in_words(tendon.angle, end, 'angle')}"
-    numbers = (words for words, _ in _told(tendon, end))
-    return ", ".join([f"offset {profile_in_words(tendon.offset, end)}", place, *numbers])

@@ -89,7 +89,7 @@ class Piecewise(eqx.Module):
         pieces: profiles or numbers, each a function of the arc length counted from the base of the body.
 
     Raises:
-        ValueError: when the number of ends does not fit the number of pieces.
+        ValueError: when the number of ends does not fit the number of pieces, or they do not increase.
     """
 
     ends: Float[Number, " joints"] = eqx.field(converter=as_number)
@@ -103,6 +103,7 @@ class Piecewise(eqx.Module):
                 f"Piecewise: {len(self.pieces)} pieces need {len(self.pieces) - 1} ends in one list, "
                 f"got ends of shape {np.shape(self.ends)}"
             )
+        _check_increase("Piecewise: ends", self.ends)
 
     @staticmethod
     def linear(arc_length: ArrayLike | Sequence[ArrayLike], values: ArrayLike | Sequence[ArrayLike]) -> "Polyline":
@@ -120,11 +121,18 @@ class Piecewise(eqx.Module):
 
 
 def _check_points(name: str, arc_length: Number, values: Number, least: int, remedy: str = "") -> None:
-    """Refuse points that are not two lists of the same length."""
+    """Refuse points that are not two lists of the same length, in order."""
     own, other = np.shape(arc_length), np.shape(values)
     if own != other or len(own) != 1 or own[0] < least:
         demand = f"{name}: arc_length and values must be two lists of one length, {least} or more"
         raise ValueError(f"{demand}, got shapes {own} and {other}{remedy}")
+    _check_increase(f"{name}: arc_length", arc_length)
+
+
+def _check_increase(what: str, places: Number) -> None:
+    """Refuse arc lengths that are known and do not increase."""
+    if isinstance(places, np.ndarray) and not np.all(np.diff(places) > 0):
+        raise ValueError(f"{what} must increase, got {places.tolist()} m; sort them")
 
 
 class Polyline(eqx.Module):
@@ -142,10 +150,7 @@ class Polyline(eqx.Module):
     values: Float[Number, " knots"] = eqx.field(converter=as_number)
 
     def __check_init__(self):
-        knots = self.arc_length
-        _check_points("Piecewise.linear", knots, self.values, least=2)
-        if isinstance(knots, np.ndarray) and not np.all(np.diff(knots) > 0):
-            raise ValueError(f"Piecewise.linear: arc_length must increase, got {knots.tolist()}")
+        _check_points("Piecewise.linear", self.arc_length, self.values, least=2)
 
     @property
     def breakpoints(self) -> Float[Array, " inner"]:
@@ -176,7 +181,7 @@ class Spline(eqx.Module):
         values: the profile at the knots.
 
     Raises:
-        ValueError: for fewer than four knots or lists of different length.
+        ValueError: for fewer than four knots, lists of different length, or knots that do not increase.
     """
 
     arc_length: Float[Number, " knots"] = eqx.field(converter=as_number)

@@ -1,7 +1,6 @@
 """Checks that the numbers of a manipulator describe a body; their messages name place, value and remedy."""
 
-import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from itertools import combinations
 
 import jax
@@ -14,7 +13,7 @@ from ..numerics.arrays import evaluated
 from ..quantities import QUANTITIES
 from .loads import Loads
 from .manipulator import STIFFNESSES, STRAINS, Manipulator, PointMass, Tendon
-from .profiles import Number, Piecewise, Polyline, Profile, Spline, breakpoints
+from .profiles import Number, Profile, breakpoints
 
 _SLACK = 1e-6  # of the length: finer than any workshop, coarser than the rounding of float32
 _POINTS = 1001
@@ -27,6 +26,8 @@ _ZERO_OR_MORE = (
     *("free_length", "outside_compliance", "outside_friction", "outside_drag"),
 )
 _DEMANDED_ALONG = {**dict.fromkeys(("youngs_modulus", *STIFFNESSES), "above 0"), "mass_per_length": "0 or more"}
+_TOUCHING = 1e-2  # of the offset: tendons that are nearer touch
+_ARMS_ALONG = jax.vmap(Manipulator.arms, (None, 0))
 _LARGEST_RATIO = 5.0  # Poisson's; a material has 0.5 at most, a body that is soft in torsion more: here E / G = 12
 
 
@@ -43,7 +44,6 @@ def check_manipulator(manipulator: Manipulator, offsets_outside_wall: bool) -> N
     """
     _check_leaves(manipulator)
     _check_scalars(manipulator)
-    _check_knots(manipulator)
     with jax.enable_x64(True):  # profiles are checked in float64, in any precision of the caller
         s = _stations(manipulator)
         _check_wall(manipulator, s)
@@ -130,27 +130,6 @@ def _check_numbers(prefix: str, owner: Manipulator | PointMass | Tendon) -> None
             raise InputError(f"{prefix}{name} must be {demand}, got {number}; correct its value")
 
 
-def _check_knots(manipulator: Manipulator) -> None:
-    """Refuse knots and joints that do not increase."""
-    for name, profile in manipulator.profiles.items():
-        words = re.sub(r"tendons\.(\d+)\.", lambda found: f"tendon {int(found[1]) + 1}: ", name)
-        for part in _parts(profile):
-            through = isinstance(part, Polyline | Spline)
-            knots = np.asarray(part.ends if isinstance(part, Piecewise) else part.arc_length if through else ())
-            falls = np.flatnonzero(np.diff(knots) <= 0)
-            if falls.size:
-                left, right = knots[falls[0]], knots[falls[0] + 1]
-                raise InputError(f"{words}: its knots must increase, got {_mm(left)} before {_mm(right)}; sort them")
-
-
-def _parts(profile: Profile) -> Iterator[Profile]:
-    """The profile, and if it is piecewise the pieces in it."""
-    yield profile
-    if isinstance(profile, Piecewise):
-        for piece in profile.pieces:
-            yield from _parts(piece)
-
-
 # --- along the length ----------------------------------------------------------------------------
 
 
@@ -225,34 +204,16 @@ def _check_jumps(name: str, profile: Profile, reach: float, shown: Callable[[flo
 
 
 def _check_apart(manipulator: Manipulator, s: np.ndarray) -> None:
-    """Refuse two tendons that meet in a cross-section, of which at least one has an angle.
-
-    Between the arc lengths both move in straight lines.
-    """
-    on_a_side = [tendon.angle is None for tendon in manipulator.tendons]
-    if all(on_a_side):
+    """Refuse two tendons at one place of a cross-section, where at least one tendon has an angle."""
+    if all(tendon.angle is None for tendon in manipulator.tendons):
         return
-    for (i, one), (j, other) in combinations(enumerate(manipulator.with_angles().tendons, 1), 2):
-        if on_a_side[i - 1] and on_a_side[j - 1]:
-            continue
-        assert one.angle is not None
-        assert other.angle is not None
-        reach = min(float(manipulator.length if t.end is None else t.end) for t in (one, other))
-        at = s[s <= reach]
-        offset, turn = evaluated(one.offset, at), evaluated(one.angle, at) - evaluated(other.angle, at)
-        away, across = offset - evaluated(other.offset, at), offset[:-1] * _least_turn(turn[:-1])
-        here, step = np.stack([away[:-1], across]), np.stack([np.diff(away), offset[:-1] * np.diff(turn)])
-        size = np.sum(step * step, axis=0)
-        nearest = np.clip(-np.sum(here * step, axis=0) / np.where(size > 0, size, 1.0), 0.0, 1.0)
-        apart = np.linalg.norm(here + nearest * step, axis=0) > _SLACK * float(manipulator.length)
-        place = at[:-1] + nearest * np.diff(at)
-
-        def found(k: int, place: np.ndarray = place, offset: Profile = one.offset, angle: Profile = one.angle) -> str:
-            there = place[k : k + 1]
-            return f"both lie {_mm(evaluated(offset, there)[0])} from the axis at {_deg(evaluated(angle, there)[0])}"
-
-        rule, remedy = f"tendons {i} and {j} must not touch or cross", "change an offset or an angle"
-        _demand(apart, place, rule, found, remedy)
+    places = evaluated(_ARMS_ALONG, manipulator, s)
+    ends = [float(manipulator.length if tendon.end is None else tendon.end) for tendon in manipulator.tendons]
+    for i, j in combinations(range(manipulator.num_tendons), 2):
+        apart = np.linalg.norm(places[:, i] - places[:, j], axis=-1)
+        good = (apart > _TOUCHING * np.linalg.norm(places[:, i], axis=-1)) | (s > min(ends[i], ends[j]))
+        rule, remedy = f"tendons {i + 1} and {j + 1} must not touch or cross", "change an offset or an angle"
+        _demand(good, s, rule, lambda k, apart=apart: f"they are {_mm(np.round(apart[k], 6))} apart", remedy)
 
 
 def _least_turn(angle: np.ndarray) -> np.ndarray:
