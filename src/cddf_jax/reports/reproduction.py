@@ -13,7 +13,6 @@ from ..errors import InputError
 from ..figures import looks, style as draw
 from ..figures.along import draw_along
 from ..figures.body import draw_force_arrows
-from ..figures.fit import by_level, draw_about_zero, draw_levels
 from ..files.writing import markdown_table
 from ..measurements.table import Measurements
 from ..numerics.arrays import evaluated
@@ -30,6 +29,7 @@ LIGHT_PULL = 10.0  # N, the other one of Fig. 6
 PULLS = np.arange(0.0, 85.1, 2.5)  # N, the model's line in Fig. 8
 HISTORY_PULLS = np.array([10.0, 25.0, 40.0, 55.0, 75.0, 85.0])  # N, Fig. 3
 HISTORY_UPDATES = 10
+LEVELS_APART = 5.0  # N, of the trials
 
 
 class PaperResults(NamedTuple):
@@ -170,10 +170,12 @@ def tip_tension_figure(results: PaperResults) -> Figure:
         axes, below = figure.subplots(2, sharex=True, height_ratios=(3, 1))
         axes.plot(PULLS, PULLS, ":", color=looks.GREY, label="no friction, $T_\\mathrm{tip} = T_\\mathrm{base}$")
         axes.plot(PULLS, results.tip_tension, color=looks.BLUE, label="model")
-        draw_levels(axes, base, tip, label=f"{results.trials}, mean ± sd")
+        trials: looks.Look = {"linestyle": "none", "color": looks.BLACK, "markerfacecolor": "white"}
+        axes.plot(base, tip, "o", label=results.trials, **trials)
         axes.set(ylabel="Tip tension $T_\\mathrm{tip}$ (N)", ylim=(0, None), xlim=(0, None))
         axes.legend()
-        draw_about_zero(below, base, tip - results.predicted)
+        below.axhline(0.0, color=looks.BLUE)
+        below.plot(base, tip - results.predicted, "o", **trials)
         below.set(xlabel="Base tension $T_\\mathrm{base}$ (N)", ylabel="Trials − model (N)")
         figure.align_ylabels()
     return figure
@@ -189,7 +191,7 @@ def compared_numbers(results: PaperResults) -> list[dict[str, Any]]:
     """
     loss = 1 - results.tip_tension[np.searchsorted(PULLS, PULL)] / PULL
     updates = int(results.history.num_updates)
-    levels = len(by_level(results.base_tension, results.observed)[0])
+    levels = len(np.unique(np.round(results.base_tension / LEVELS_APART)))
     there = results.observed > 0
     error = float(np.mean(np.abs(results.predicted[there] / results.observed[there] - 1)))
     rows = [
