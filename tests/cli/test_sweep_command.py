@@ -63,7 +63,7 @@ def read(*over, base_tension=None, body=None, **asked):
 
 
 def test_a_sweep_with_all_its_files_and_once_more_after_a_stop(run, tmp_path, monkeypatch):
-    exports = ("--netcdf", "tables/sweep.nc", "--csv", "tables/sweep.csv")
+    exports = ("--csv", "tables/sweep.csv")
     outputs = ("--output", "tip_tension,tip_position")
     monkeypatch.setattr("cddf_jax.sweeping.sweep.CHUNK", 8)
     arguments = (PAPER, *TENSIONS, *FRICTIONS, *outputs, "--out", "sweep.zarr", *exports)
@@ -73,7 +73,7 @@ def test_a_sweep_with_all_its_files_and_once_more_after_a_stop(run, tmp_path, mo
     assert json.loads((tmp_path / "sweep.json").read_text()) == told
     files = {path.name for path in tmp_path.iterdir()}
     assert files == {"sweep.zarr", "sweep.json", "sweep.pdf", "sweep.png", "tables"}
-    assert {path.name for path in (tmp_path / "tables").iterdir()} == {"sweep.nc", "sweep.csv"}
+    assert {path.name for path in (tmp_path / "tables").iterdir()} == {"sweep.csv"}
 
     tensions, frictions = np.linspace(5.0, 85.0, 5), np.linspace(0.1, 0.6, 4)
     expected = np.array([[tip_tension(t, mu) for mu in frictions] for t in tensions])
@@ -89,13 +89,6 @@ def test_a_sweep_with_all_its_files_and_once_more_after_a_stop(run, tmp_path, mo
     assert list(rows[0]) == [*heads, "result"]
     assert [float(row["tip_tension [N]"]) for row in rows] == answer["tip_tension"].values.ravel().tolist()
     assert {row["result"] for row in rows} == {"successful"}
-
-    with xarray.open_dataset("tables/sweep.nc", engine="scipy") as netcdf:
-        assert netcdf["tip_tension"].attrs["units"] == "N"
-        assert netcdf["base_tension"].attrs["units"] == "N"
-        assert netcdf["tip_position"].sel(component="X").attrs["units"] == "m"
-        np.testing.assert_array_equal(netcdf["tip_tension"], answer["tip_tension"])
-        assert bool(netcdf["successful"].all())
 
     chunks = sorted((tmp_path / "sweep.zarr" / "result" / "c").rglob("*"))
     chunks = [path for path in chunks if path.is_file()]
@@ -283,7 +276,6 @@ WRONG = [
     ((*TENSIONS, "--output", "tip_tention"), "sweep: 'tip_tention' is not an output"),
     (("--over", "base_tension=1N:2N:1000000000000"), "--over base_tension: 1000000000000 values are more than"),
     ((*TENSIONS, "--csv", "."), "--csv .: is a folder; give the name of a file"),
-    ((*TENSIONS, "--csv", "x", "--netcdf", "x"), "--netcdf and --csv are both x"),
     ((*TENSIONS, "--csv", "x.csv", "--output", "tension"), "--csv x.csv: a table takes no outputs along the body"),
 ]
 

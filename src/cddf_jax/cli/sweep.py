@@ -117,7 +117,6 @@ def sweep(
     kinematics: options.KinematicsOption = None,
     nodes: options.Nodes = 16,
     output: Output = ["tip_tension,tip_position,tip_angle"],  # noqa: B006  # it is only read
-    netcdf: Annotated[Path | None, typer.Option(help="Write a NetCDF file too, such as sweep.nc.")] = None,
     csv: Annotated[
         Path | None, typer.Option(help="Write a table too, such as sweep.csv, with a row for each solve.")
     ] = None,
@@ -164,12 +163,12 @@ def sweep(
         if sweep_report.is_first_process():
             options.print_answer(sweep_report.rehearsal_in_words(expected), expected, as_json=as_json)
         return
-    store = sweep_report.checked_store(work, out, netcdf, csv)
+    store = sweep_report.checked_store(work, out, csv)
     try:
         found = sweep_report.run_sweep(work, store, context.params)
         if found is None:
             return
-        report = sweep_report.sweep_report(work, *found, store.stem, netcdf, csv)
+        report = sweep_report.sweep_report(work, *found, store.stem, csv)
         options.give(report, store.parent, as_json=as_json)
     except KeyboardInterrupt:
         remedy = "what is in the store stays there, start the same command again and it goes on"

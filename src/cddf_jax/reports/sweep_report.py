@@ -16,7 +16,7 @@ from ..batch.work import COPIES, items_there
 from ..errors import InputError, in_utf8, within
 from ..progress import stage
 from ..statics.status import Status, words_of
-from ..sweeping.export import is_short, write_csv, write_netcdf
+from ..sweeping.export import is_short, write_csv
 from ..sweeping.one_solve import RESULT, VERDICTS
 from ..sweeping.sweep import Sweep
 from .report import Content, Report, versions
@@ -24,37 +24,27 @@ from .report import Content, Report, versions
 if TYPE_CHECKING:
     import xarray
 
-NETCDF_MOST = 2**31 - 1  # bytes of a NetCDF file; SciPy writes no larger variables
-
-
 Json = dict[str, Any]  # what `--json` prints: SI units
 
 
 # --- where it goes -------------------------------------------------------------------------------
 
 
-def checked_store(work: Sweep, out: Path | None, netcdf: Path | None, csv: Path | None) -> Path:
+def checked_store(work: Sweep, out: Path | None, csv: Path | None) -> Path:
     """The store itself where the name ends with .zarr, or else that in the folder for it and all that goes with it.
 
     What could not be written afterwards is refused before anything is computed.
     """
     if out is None:
         raise InputError("--out is missing; give a store such as --out sweep.zarr, or --dry-run to see what it takes")
-    if netcdf is not None and netcdf == csv:
-        raise InputError(f"--netcdf and --csv are both {csv}; give them different names")
     store = out if out.suffix == ".zarr" else out / "sweep.zarr"
-    for option, path in (("--out", store), ("--netcdf", netcdf), ("--csv", csv)):
+    for option, path in (("--out", store), ("--csv", csv)):
         if path is not None:
             if path != store and path.is_dir():
                 raise InputError(f"{option} {path}: is a folder; give the name of a file")
             with within(option):
                 check_folder(path.parent)
-    layout = work.layout
-    size, most = layout.size * layout.bytes_each, min(NETCDF_MOST, int(work.free) // 2)  # it is held twice
-    if netcdf is not None and size > most:
-        sizes = f"the answer has {filesize.decimal(size)}, {filesize.decimal(most)} can be written at once"
-        raise InputError(f"--netcdf {netcdf}: {sizes}; use the Zarr store")
-    outputs = layout.empty.data_vars.items()
+    outputs = work.layout.empty.data_vars.items()
     if csv is not None and not any(name not in VERDICTS and is_short(array) for name, array in outputs):
         raise InputError(f"--csv {csv}: a table takes no outputs along the body; add one such as tip_tension")
     return store
@@ -94,10 +84,8 @@ def run_sweep(work: Sweep, store: Path, options: Mapping[str, object]) -> "tuple
     return answer, summary
 
 
-def sweep_report(
-    work: Sweep, answer: "xarray.Dataset", summary: Json, name: str, netcdf: Path | None, csv: Path | None
-) -> Report:
-    """The summary of `run_sweep`, the figures or why there is none, and the answer in the files that are named."""
+def sweep_report(work: Sweep, answer: "xarray.Dataset", summary: Json, name: str, csv: Path | None) -> Report:
+    """The summary of `run_sweep`, the figures or why there is none, and the answer as a table if it has a name."""
     drawn, no_figure = [output for output in work.outputs if is_short(answer[output])], ""
     made: dict[str, Content] = {}
     try:
@@ -111,8 +99,6 @@ def sweep_report(
 
     @stage("writing")
     def files() -> Mapping[str, Content]:
-        if netcdf is not None:
-            write_netcdf(answer, netcdf)
         if csv is not None:
             write_csv(answer, csv)
         return made

@@ -1,4 +1,4 @@
-"""Sweeps as NetCDF and CSV files, each written complete or not at all."""
+"""Sweeps as CSV files, written complete or not at all."""
 
 from collections.abc import Hashable, Iterator, Sequence
 from pathlib import Path
@@ -16,14 +16,6 @@ if TYPE_CHECKING:
     import xarray
 
 LABELS = {"component": COMPONENTS, "axis": AXES}  # along a dimension; other dimensions have numbers
-
-
-def write_netcdf(answer: "xarray.Dataset", path: Path) -> None:
-    """Write the whole dataset as a NetCDF file."""
-    whole = answer.load().drop_encoding()
-    texts = {name: (c.dims, list(map(str, c.values))) for name, c in whole.coords.items() if c.dtype.kind == "T"}
-    with in_one_step(path) as draft:  # SciPy's writer knows only texts of a fixed length
-        whole.assign_coords(texts).to_netcdf(draft, engine="scipy", format="NETCDF3_64BIT")
 
 
 def write_csv(answer: "xarray.Dataset", path: Path) -> None:
