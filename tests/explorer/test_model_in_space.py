@@ -175,12 +175,12 @@ def test_a_step_of_the_body_has_a_ring_on_both_sides(three):
     assert {15.0, 12.0} == {round(y, 9) for y in near}
 
 
-def test_the_floor_has_numbers_in_mm():
+def test_the_floor_has_squares_of_one_size():
     rows = floor_rows(200.0, 50.0)
     (floor,) = of(rows, "floor")
     assert floor.points[2] == -100.0  # two squares down, at least 0.35 of the length
-    for axis, numbers in (("X", [50, 100, 150]), ("Y", [-50, 50])):
-        side = [row for row in of(rows, "edge") if row.side[0 if axis == "Y" else 1] == 1]
-        told = {row.text: row.points["XYZ".index(axis)] for row in side}
-        assert told.pop(f"{axis} (mm)") == 0.0
-        assert {float(text): at for text, at in told.items()} == {n: n for n in numbers}
+    lines = np.array([row.points[:, :2] for row in of(rows, "grid")])
+    across = [line[0, 0] for line in lines if np.ptp(line[:, 0]) == 0]
+    along = [line[0, 1] for line in lines if np.ptp(line[:, 1]) == 0]
+    assert (across, along) == ([0, 50, 100, 150, 200], [-100, -50, 0, 50, 100])
+    assert [row.text for row in of(rows, "name")] == ["X", "Y"]

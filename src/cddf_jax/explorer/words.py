@@ -80,9 +80,5 @@ def _line(tendon: int) -> str:
 
 
 def lines_html(text: str) -> str:
-    """Lines of text, such as the output of `cddf fit`, one paragraph each; what is identified is marked."""
-    marked = []
-    for line in text.splitlines():
-        kind = "lost" if "not identified" in line else "known" if line.endswith("identified") else ""
-        marked.append(f'<p class="{kind}">{escape(line)}</p>' if line.strip() else "")
-    return f'<div role="status" data-name="verdict">{"".join(marked)}</div>'
+    """Lines of text, such as the output of `cddf fit`, one paragraph each."""
+    return f'<div role="status" data-name="verdict">{"".join(map(paragraph, text.splitlines()))}</div>'
