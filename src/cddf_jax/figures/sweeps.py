@@ -12,7 +12,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from matplotlib.patheffects import withStroke
 
 from ..errors import InputError
 from ..quantities import QUANTITIES
@@ -137,21 +136,16 @@ def sweep_figure(answer: "xarray.Dataset", outputs: Sequence[str]) -> Figure:
     """
     answer = answer.drop_dims("point", errors="ignore").squeeze(drop=True)
     dims = [str(dimension) for dimension in answer[RESULT].dims]
-    over, path = [name for name in dims if name in answer.coords and name not in OPTIONS], answer.attrs.get(PATH)
-    if path in dims:
-        if path not in over:
-            raise InputError(f"several numbers vary along the path {path}; draw_lines draws an output over one of them")
+    over = [name for name in dims if name in answer.coords and name not in OPTIONS]
+    if (path := answer.attrs.get(PATH)) in dims:
         over = [path]
     if not over:
         raise InputError("no number varies along an axis of its own; choose what to draw with xarray")
     if len(over) > 2 or (len(over) == 2 and len(dims) > 2):
         raise InputError(f"{len(dims)} axes are too many for one figure; choose with xarray")
+    one = draw_lines if len(over) == 1 else draw_map
     parts = [(part, name) for name in outputs for part in _components(answer, name)]
-
-    def draw_one(panel: Axes, what: "tuple[xarray.Dataset, str]") -> None:
-        draw_lines(*what, over[0], panel) if len(over) == 1 else draw_map(*what, over[0], over[1], panel)
-
-    return draw.panels_figure(draw_one, parts, 2.1)
+    return draw.panels_figure(lambda panel, part: one(*part, *over, axes=panel), parts, 2.1)
 
 
 def _components(answer: "xarray.Dataset", name: str) -> "list[xarray.Dataset]":
@@ -198,12 +192,7 @@ def _draw_map(axes: Axes, array: "xarray.DataArray", x: str, y: str) -> None:
     if values.count():
         filled = axes.contourf(*points, values, 8, cmap=draw.TENSION_COLOURS)
         if within := [level for level in filled.levels if values.min() < level < values.max()]:
-            look = {"colors": looks.BLACK, "linewidths": 0.5, "linestyles": "solid"}
-            lines = axes.contour(*points, values, within, **look)
-            for text in axes.clabel(lines, fmt="%g", fontsize=7, colors=looks.BLACK, inline=False):
-                text.set_path_effects([withStroke(linewidth=2.0, foreground="white")])
-                place = axes.transAxes.inverted().transform(axes.transData.transform(text.get_position()))
-                text.set_visible(bool(np.all(np.abs(place - 0.5) < 0.44)))  # not over the frame
+            axes.contour(*points, values, within, colors=looks.BLACK, linewidths=0.5, linestyles="solid")
         draw.scale_beside(axes, filled, axis_label(array))
     if lost:
         look = {"facecolor": looks.PALE, "edgecolor": looks.GREY, "hatch": "/////", "linewidth": 0.0, "zorder": 0}

@@ -50,7 +50,7 @@ def draw_workspace(
             as "tip_angle"; or an array with one number for each solve, whose name and attribute "units" label the
             colour scale, such as (dataset.tip_tension.sum("tendon") /
             dataset.base_tension.sum("tendon")).rename("tension that arrives").assign_attrs(units="1"). None for the sum
-            of the base tensions, or the first number that varies where they are not all known.
+            of the base tensions where all of them vary, or else the first number that varies.
         axes: where to draw, of a body in space with projection="3d"; None for a new figure, one column wide.
 
     Raises:
@@ -108,14 +108,10 @@ def _coloured_by(dataset: "xarray.Dataset", by: "str | xarray.DataArray | None")
     """One number for each solve."""
     numbers = varying_numbers(dataset)
     if by is None:
-        parts = [dataset[name] for name in numbers if stem_and_tendon(name)[0] == "base_tension"]
-        if "base_tension" in dataset.data_vars:
-            parts = [dataset["base_tension"].sum("tendon", skipna=False)]
-        elif len(parts) != dataset.sizes.get("tendon"):
-            parts = []
-        if parts:
-            return sum(parts[1:], parts[0]).rename("total_tension").assign_attrs(units="N")
-        by = numbers[0] if numbers else "base_tension"
+        pulls = [dataset[name] for name in numbers if stem_and_tendon(name)[0] == "base_tension"]
+        if pulls and len(pulls) == dataset.sizes.get("tendon"):
+            return sum(pulls[1:], pulls[0]).rename("total_tension").assign_attrs(units="N")
+        by = numbers[0] if numbers else "tip_angle"
     if not isinstance(by, str):
         return by if by.name else by.rename("colour")
     if by not in dataset:
