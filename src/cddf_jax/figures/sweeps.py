@@ -17,7 +17,7 @@ from ..errors import InputError
 from ..quantities import QUANTITIES
 from ..statics.status import Status
 from ..sweeping.axes import OPTIONS, PATH
-from ..sweeping.one_solve import COMPONENTS, RESULT
+from ..sweeping.one_solve import RESULT
 from ..units import DIMENSION_OF, preferred
 from . import looks, style as draw
 
@@ -249,18 +249,10 @@ def axis_label(array: "xarray.DataArray") -> str:
 
 
 def name_in_words(name: str) -> str:
-    """The name of a number or output in words: "loads.tip_force.1" is "Tip force Y".
-
-    The value of a target is called so: "Base tension target".
-    """
+    """The name of a number or output in words: "outer_radius.tip" is "Outer radius tip"."""
     if name in QUANTITIES:
         return QUANTITIES[name].label
-    name = name.removeprefix("loads.").replace("tendons.", "tendon.").replace("points.", "load.")
-    parts = name.replace(".value", ".target").split(".")
-    vectors = ("tip_force", "tip_moment", "gravity", "force", "moment")
-    places = [COMPONENTS if before in vectors else range(1, 100) for before in ("", *parts)]
-    parts = [str(own[int(part)]) if part.isdigit() else part for part, own in zip(parts, places, strict=False)]
-    words = " ".join(parts).replace("_", " ")
+    words = name.removeprefix("loads.").replace(".", " ").replace("_", " ")
     return words[:1].upper() + words[1:]
 
 

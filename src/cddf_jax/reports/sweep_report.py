@@ -93,8 +93,8 @@ def sweep_report(work: Sweep, answer: "xarray.Dataset", summary: Json, name: str
     except InputError as error:
         no_figure = str(error)
     tips = answer.data_vars.get("tip_position")
-    if tips is not None and tips.sizes["component"] == 3 and bool(tips.notnull().all("component").any()):
-        with suppress(InputError):  # no number varies
+    if tips is not None and tips.sizes["component"] == 3:
+        with suppress(InputError):  # no number varies, or no solve gave a tip
             made[f"{name}_workspace"] = figures.workspace_figure(answer)
 
     @stage("writing")
