@@ -259,11 +259,12 @@ def draw_profile(fit: Fit, profile: Profile, axes: Axes | None = None) -> Axes:
             axes.axvline(scale * estimate, color=looks.BLACK, linestyle=":", label="estimate")
         patch = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0}
         look = {"transform": axes.transAxes, "va": "top", "color": looks.VERMILION, "bbox": patch}
-        if not profile.closed[0]:
-            word = "no solution" if profile.model_ends[0] else "bound" if status == AT_BOUND else "open"
-            axes.text(0.03, 0.96, word if word == "bound" else f"← {word}", ha="left", **look)
-        if not profile.closed[1]:
-            axes.text(0.97, 0.96, "no solution →" if profile.model_ends[1] else "open →", ha="right", **look)
+        sides = zip((0.03, 0.97), ("left", "right"), interval, profile.closed, profile.model_ends, strict=True)
+        for place, side, end, closed, model_ends in sides:
+            at_bound = status == AT_BOUND and np.isfinite(end)
+            word = "" if closed else "no solution" if model_ends else "bound" if at_bound else "open"
+            if word:
+                axes.text(place, 0.96, word, ha=side, **look)
         draw.legend_above(axes)
     return axes
 
