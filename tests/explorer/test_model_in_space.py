@@ -101,7 +101,7 @@ def test_tables_were_measured_under_the_gravity_of_the_file(monkeypatch):
     hanging = replace(explored, gravity=(9.81, 0.0, 0.0))
     told = []
     monkeypatch.setattr("cddf_jax.identification.fit.fit", lambda *_, setting: told.append(setting))
-    hanging.fit("exact")
+    hanging.fit()
     assert [setting.loads.gravity.tolist() for setting in told] == [[9.81, 0.0, 0.0]]
 
 
