@@ -20,7 +20,7 @@ from ..identification.parameters import BenchSetting
 from ..measurements.readings import set_by
 from ..measurements.table import Measurements
 from ..mechanics.directions import as_directions
-from ..mechanics.fields import AnyFields, SpatialFields
+from ..mechanics.fields import AnyFields
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..robot.reshape import tapered
@@ -69,11 +69,6 @@ class Picture(NamedTuple):
     def peak_curvature(self) -> float:
         """The largest |kappa|, 1/m; in space of bending alone, without twist."""
         return float(np.max(lines_along(self.case.manipulator, self.along, "bending")))
-
-    @property
-    def peak_twist(self) -> float | None:
-        """The largest size of the twist, 1/m; None in the plane."""
-        return float(np.max(np.abs(self.along.twist))) if isinstance(self.along, SpatialFields) else None
 
 
 class Curve(NamedTuple):
