@@ -110,13 +110,13 @@ PICTURES = (
     Picture(
         "fit",
         "Data and model",
-        "Simulated tip angles, mean and standard deviation of each level, and the fitted model with its 95 % band.",
+        "Simulated tip angles, and the fitted model with its 95 % band.",
         'figures.draw_fit(fit, column="tip_angle")',
     ),
     Picture(
         "residuals",
         "Residuals",
-        "What the model leaves of the tip tensions, reading by reading and level by level.",
+        "What the model leaves of the tip tensions, reading by reading.",
         'figures.draw_residuals(fit, column="tip_tension")',
     ),
     Picture(

@@ -90,7 +90,7 @@ def files():
     cddf.read_cross_sections(body)
     cddf.read_tables([DATA / "pulley_simulated.csv"])
     cddf.as_dataset(eq)
-    cddf.as_frame(tensions)
+    cddf.as_frame(eq)
 
 
 def identification():

@@ -45,7 +45,7 @@ def test_loads_in_space_in_words(cddf_command):
     loads = ("--tip-force", "0, 0.1, 0 N", "--tip-moment", "0.01, 0, 0 N m")
     code, out, err = cddf_command("solve", THREE, *pulls, *loads)
     assert (code, err) == (0, "")
-    assert "loads: tip force (0, 0.1, 0) N, tip moment (0.01, 0, 0) N m, gravity (0, 0, 0) m/s^2; put on in " in out
+    assert "loads: tip force (0, 0.1, 0) N, tip moment (0.01, 0, 0) N m, gravity (0, 0, 0) m/s^2" in out
     # r x F + m about the base
     tip = [1e-3 * float(x) for x in out.partition("(")[2].partition(")")[0].split(",")]
     told = out.partition("base: (")[2].partition(")")[0].split(",")

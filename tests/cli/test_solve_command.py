@@ -88,7 +88,7 @@ def test_the_moment_at_the_base_is_that_of_statics(answer_of, cddf_command, heav
     code, out, err = cddf_command(*arguments)
     assert (code, err) == (0, "")
     assert out.splitlines()[3:5] == [
-        "loads: tip force (3, -5) N, tip moment 0.1 N m, gravity (0, 0) m/s^2; put on in 2 steps",
+        "loads: tip force (3, -5) N, tip moment 0.1 N m, gravity (0, 0) m/s^2",
         f"moment of the loads at the base: {answer['base_moment']:.5g} N m",
     ]
     assert out.splitlines()[5].endswith("; successful")

@@ -156,17 +156,16 @@ def test_the_model_and_the_data(fit):
     (band,) = (item for item in axes.collections if item.get_label() == "95 % band of the model")
     high = np.max(np.exp(mu * wrap) + stats.t.ppf(0.975, fit.degrees_of_freedom) * error * wrap * np.exp(mu * wrap))
     assert band.get_datalim(axes.transData).ymax == pytest.approx(high, rel=1e-4)
-    (data,) = axes.containers
-    ratio, angle = table["pulling_tension"] / table["weight"], table["wrap_angle"]
-    means = [ratio[angle == level].mean() for level in np.unique(angle)]
-    np.testing.assert_allclose(y_of(data[0]), means)
+    data = next(line for line in axes.lines if line.get_label() == "simulated data")
+    expected = np.degrees(table["wrap_angle"]), table["pulling_tension"] / table["weight"]
+    np.testing.assert_allclose(xy_of(data), expected)
 
 
 def test_the_residuals_stand_below_the_data(fit):
     (figure,) = figures.table_figures(fit).values()
     above, below = figure.axes
     assert above.get_xlim() == below.get_xlim()
-    dots = next(line for line in below.lines if line.get_marker() == ".")
+    dots = next(line for line in below.lines if line.get_marker() == "o")
     (table,) = fit.tables
     predicted = np.exp(fit.value["friction_coefficient"] * table["wrap_angle"])
     np.testing.assert_allclose(y_of(dots), table["pulling_tension"] / table["weight"] - predicted, atol=1e-9)

@@ -196,7 +196,7 @@ def test_a_path_of_two_tensions_is_drawn_over_the_one_that_varies():
     axes = draw_lines(answer, "tip_angle", "base_tension_1")
     assert len(axes.lines) == 2
     np.testing.assert_array_equal(x_of(axes.lines[0]), PATH)
-    with pytest.raises(InputError, match="several numbers vary along the path sample; draw_lines"):
+    with pytest.raises(InputError, match="draw_lines: 'sample' is not a number that varies; there are "):
         drawn(answer, ("tip_angle",))
     with pytest.raises(InputError, match="draw_map: base_tension_1 is a path"):
         draw_map(answer, "tip_angle", "base_tension_1", "friction_coefficient")

@@ -86,8 +86,8 @@ def test_what_is_doubtful_and_what_failed():
 
 def test_a_plane_and_an_array_of_ones_own():
     data = answer(2)
-    share = (data.tip_tension.sum("tendon") / 40.0).rename("share").assign_attrs(units="1")
-    axes = figures.draw_workspace(data, share)
+    share = (data.tip_tension.sum("tendon") / 40.0).assign_attrs(units="1")
+    axes = figures.draw_workspace(data.assign(share=share), "share")
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("$X$ (mm)", "$Y$ (mm)")
     assert axes.figure.axes[1].get_ylabel() == "Share"
     assert drawn(axes)[1].max() == pytest.approx(0.75)

@@ -37,14 +37,11 @@ def ranked(plan, name):
     return next(r for r in plan.ranking if r.candidate.name == name)
 
 
-def test_a_plan_as_a_table(planned):
-    """The numbers of the ranking, the best first; tensions leave both parameters open."""
-    frame = cddf.as_frame(planned)
-    assert list(frame.index) == [ranked.candidate.name for ranked in planned.ranking]
-    assert frame["gain"].is_monotonic_decreasing
-    assert np.isinf(frame.loc["tensions", ["friction_coefficient [1]", "youngs_modulus [Pa]"]].astype(float)).all()
-    expected = ranked(planned, "positions").expected.standard_error["youngs_modulus"]
-    assert frame.loc["positions", "youngs_modulus [Pa]"] == expected
+def test_the_best_is_first(planned):
+    """Tensions leave both parameters open."""
+    gains = [ranked.gain for ranked in planned.ranking]
+    assert gains == sorted(gains, reverse=True)
+    assert np.isinf([*ranked(planned, "tensions").expected.standard_error.values()]).all()
     assert str(planned).splitlines()[1].startswith(planned.ranking[0].candidate.name)
 
 

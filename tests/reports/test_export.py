@@ -57,23 +57,10 @@ def test_a_batch_and_places_off_the_body_are_refused(equilibrium):
     batch = jax.tree.map(lambda x: np.stack([x, x]), equilibrium)
     with pytest.raises(cddf.InputError, match=r"a batch of shape \(2,\)"):
         cddf.as_dataset(batch)
-    with pytest.raises(cddf.InputError, match="needs an equilibrium, got a history; `as_frame`"):
-        cddf.as_dataset(object.__new__(cddf.History))  # pyright: ignore[reportArgumentType]
     with pytest.raises(cddf.InputError, match=r"within 0 to 0.14 m"):
         cddf.as_dataset(equilibrium, [0.2])
     with pytest.raises(TypeError, match="got float"):
         cddf.as_frame(3.0)  # pyright: ignore[reportArgumentType]
-
-
-def test_measurements_become_a_frame_and_come_back(tmp_path):
-    path = tmp_path / "bench.csv"
-    path.write_text("trial, base_tension [N], tip_tension [N], tip_angle [deg]\nA, 5, 4.5, 3\nB, 10, 9, 6\n")
-    table = cddf.read_measurements(path)
-    frame = cddf.as_frame(table)
-    assert list(frame["trial"]) == ["A", "B"]
-    np.testing.assert_allclose(frame["tip_angle [rad]"], np.radians([3, 6]))
-    frame.to_csv(path, index=False)
-    assert cddf.read_measurements(path).checksum == table.checksum
 
 
 def test_what_is_not_identified_has_no_number_in_a_frame():

@@ -10,7 +10,6 @@ from matplotlib.image import imread
 from places import DATA
 
 from cddf_jax.errors import InputError
-from cddf_jax.figures import fit as fit_figures
 from cddf_jax.figures.style import render
 from cddf_jax.files import writing
 from cddf_jax.files.manipulator_file import read_manipulator
@@ -72,7 +71,7 @@ def test_what_cannot_be_compared_is_reported(row):
     assert "measured" in error["note"]
     assert "simulated" in error["note"]
     assert error["note"].startswith("not comparable")
-    assert (error["comparable"], error["difference"]) == (False, None)
+    assert error["difference"] is None
 
 
 def test_mean_error_is_that_of_the_closed_form(row, load_cells):
@@ -118,16 +117,6 @@ def test_a_file_name_that_is_not_utf8_in_reports(tmp_path):
 def test_a_cell_of_a_table_that_holds_its_separator():
     """GitHub Flavored Markdown, section 4.10: a pipe in a cell is escaped by a backslash."""
     assert writing.markdown_table(["a|b"], [["c"]]) == ["| a\\|b |", "| --- |", "| c |"]
-
-
-# --- plotting ------------------------------------------------------------------------------------
-
-
-def test_readings_are_gathered_by_level():
-    level, mean, deviation = fit_figures.by_level(*np.array([[10.02, 5.0, 9.98, 20.0], [4.0, 1.0, 2.0, 7.0]]))
-    np.testing.assert_allclose(level, [5.0, 10.0, 20.0])
-    np.testing.assert_allclose(mean, [1.0, 3.0, 7.0])
-    np.testing.assert_allclose(deviation, [np.nan, np.sqrt(2.0), np.nan])
 
 
 @pytest.mark.parametrize(("value", "expected"), [(531.6, 500), (27.3, 20), (1.0, 1), (0.09, 0.05)])

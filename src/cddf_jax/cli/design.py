@@ -43,9 +43,9 @@ def design(
     with stage("loading"):
         application.configure_jax()
         from ..designing.task_file import read_task
-        from ..reports.design_report import design_report, trade_off_report
+        from ..reports.design_report import design_report
 
     read = read_task(task)
     options.note(read.read_as)
-    report = design_report(read, read.design()) if pareto is None else trade_off_report(read, read.pareto_front(pareto))
-    options.give(report, out, as_json=as_json)
+    found = read.design() if pareto is None else read.pareto_front(pareto)
+    options.give(design_report(read, found), out, as_json=as_json)

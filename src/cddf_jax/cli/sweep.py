@@ -157,9 +157,8 @@ def sweep(
         nodes=nodes,
     )
     if dry_run:
-        expected = sweep_report.rehearse(work)
         if sweep_report.is_first_process():
-            options.print_answer(sweep_report.rehearsal_in_words(expected), expected, as_json=as_json)
+            options.give(sweep_report.rehearse(work), None, as_json=as_json)
         return
     store = sweep_report.checked_store(work, out, csv)
     try:

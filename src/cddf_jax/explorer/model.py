@@ -20,8 +20,7 @@ from ..identification.parameters import BenchSetting
 from ..measurements.readings import set_by
 from ..measurements.table import Measurements
 from ..mechanics.directions import as_directions
-from ..mechanics.fields import AnyFields, SpatialFields
-from ..robot.cross_section import Kinematics
+from ..mechanics.fields import AnyFields
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..robot.reshape import tapered
@@ -42,11 +41,10 @@ GOOD = (Status.successful, Status.direction_contradicted)
 
 
 class Settings(NamedTuple):
-    """The positions of the controls: numbers in shown units by name of the control, directions and kinematics."""
+    """The positions of the controls: numbers in shown units by name of the control, and directions."""
 
     numbers: Mapping[str, float]
     direction: tuple[int | None, ...]  # None where it is found from the travel of the tendon
-    kinematics: Kinematics
 
 
 class Picture(NamedTuple):
@@ -71,11 +69,6 @@ class Picture(NamedTuple):
     def peak_curvature(self) -> float:
         """The largest |kappa|, 1/m; in space of bending alone, without twist."""
         return float(np.max(lines_along(self.case.manipulator, self.along, "bending")))
-
-    @property
-    def peak_twist(self) -> float | None:
-        """The largest size of the twist, 1/m; None in the plane."""
-        return float(np.max(np.abs(self.along.twist))) if isinstance(self.along, SpatialFields) else None
 
 
 class Curve(NamedTuple):
@@ -131,7 +124,7 @@ class Exploration:
         """The manipulator as it is, tendon 1 pulled."""
         numbers = {control.name: control.value for control in self.controls}
         count = self.manipulator.num_tendons
-        return Settings(numbers, (1,) if count == 1 else (None,) * count, self.manipulator.kinematics)
+        return Settings(numbers, (1,) if count == 1 else (None,) * count)
 
     def case(self, settings: Settings) -> Case:
         """The case to solve for the settings. Its structure is the same for all numbers, unless loads begin or end.
@@ -140,8 +133,7 @@ class Exploration:
             InputError: for a body that cannot be, such as one with a tendon outside its wall.
         """
         number = {c.name: in_si(settings.numbers[c.name], c.quantity) for c in self.controls}
-        body = replace(self.manipulator, kinematics=settings.kinematics)
-        body = replace(body, **{name: number[name] for name in FITTED if name in number})
+        body = replace(self.manipulator, **{name: number[name] for name in FITTED if name in number})
         if body.outer_radius is not None and RADII[0] in number:
             base, tip = (number[name] for name in RADII)
             wall = tapered(body.outer_radius, base, tip, body.length)
@@ -194,7 +186,7 @@ class Exploration:
         driven = self.tables if self.over == "base_tension" else ()
         return read_as + [f"{table.name}: {beside}" for table in driven if is_driven_by_length(table)]
 
-    def fit(self, kinematics: Kinematics) -> "Fit":
+    def fit(self) -> "Fit":
         """Friction and modulus from the tables, with the manipulator of the file, on which they were measured.
 
         Raises:
@@ -205,7 +197,7 @@ class Exploration:
         from ..identification.fit import fit
 
         own = [control.name for control in self.controls if control.name in FITTED]
-        return fit(replace(self.manipulator, kinematics=kinematics), self.tables, own, setting=self.setting)
+        return fit(self.manipulator, self.tables, own, setting=self.setting)
 
     def toml(self, case: Case) -> str:
         """The body of a case as a file, with the gravity that acts on it."""

@@ -31,10 +31,6 @@ export default ({space, azimuth, elevation, center, ...seen}) => {
   for (const row of rows) row.points = triples(row.points)
   const of = (...kinds) => rows.filter(row => kinds.includes(row.kind))
   if (of("axis").length == 0) return  // there is no picture yet
-  // the lower edges of the floor as it is seen, and the upright at its left, unless they are seen from their end
-  const lower = up < 0 ? -1 : 1
-  const bears = ({kind, side}) =>
-    kind == "edge" ? lower * dot(side, sight) > 0.2 : dot(side, right) < -0.7 && Math.cos(up) > 0.2
 
   const show = (name, rows, columns) => {
     if (!(name in seen)) return
@@ -66,8 +62,7 @@ export default ({space, azimuth, elevation, center, ...seen}) => {
   const rings = of("ring").map(row => row.points), [floor] = of("floor")
   const plate = sight[0] < 0 ? "over" : "under", faces = dot(of("ahead")[0].points[0], sight) > 0
   show("shadow", () => pieces(rings, ([x, y]) => flat([x, y, floor.points[0][2]])), lines)
-  show("floor", () => drawn([...of("grid"), ...of("post").filter(row => row.text == "" && bears(row))]), lines)
-  show("ticks", () => drawn(of("edge", "post").filter(row => row.text != "" && bears(row))), points)
+  show("floor", () => drawn(of("grid")), lines)
   show("under", () => [...drawn(of("rest", plate == "under" && "plate")), ...parts.under], lines)
   show("tube", () => pieces(rings, flat), lines)
   show("cap", () => drawn(faces ? of("ring").slice(-1) : []), lines)

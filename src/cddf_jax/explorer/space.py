@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 from bokeh.events import Pan, PanStart
@@ -28,20 +28,16 @@ BODY = {
     **{"ends": ("x", "y"), "heads": ("x", "y", "angle")},
 }
 SCENE = {
-    **{"shadow": ("xs", "ys"), "floor": LINES, "ticks": POINTS, "names": POINTS},
+    **{"shadow": ("xs", "ys"), "floor": LINES, "names": POINTS},
     **{"data": ("x", "y"), "rows": ("x", "y")},
 }
 AHEAD, ASIDE, BELOW = 1.0, 0.5, 0.35  # of the length: how far the floor reaches from the base, and how low it is
 REACH, WIDE = 0.62, 0.8  # of the length: what is always visible around the middle of the body, vertically and sideways
 TIP = ("tip_x", "tip_y", "tip_z")
 LEAST_EXTENT = np.array([[0.0, -0.35, -0.35], [1.0, 0.35, 0.35]])  # of the length, in plane views
-SLANT = 0.5**0.5
 HIDDEN = 0.35  # of the strength of a line
 WALL = "#DDDDDD"
 RINGS_APART = 4  # arc lengths
-
-
-Place: TypeAlias = tuple[float, ...]  # or a direction, with three components
 
 
 class Row(NamedTuple):
@@ -53,15 +49,13 @@ class Row(NamedTuple):
     dash: tuple[int, ...] = ()
     width: float = 1.0
     text: str = ""
-    side: Place = (0.0, 0.0, 0.0)  # of the floor, at which an edge or an upright is
 
 
 def columns_of_rows(rows: Iterable[Row]) -> Columns:
     """The data of a source."""
-    kind, points, color, dash, width, text, side = map(list, zip(*rows, strict=True))
+    kind, points, color, dash, width, text = map(list, zip(*rows, strict=True))
     flat = [np.asarray(each, float).ravel() for each in points]
-    look = {"color": color, "dash": list(map(list, dash)), "width": width}
-    return {"kind": kind, "points": flat, **look, "text": text, "side": list(map(list, side))}
+    return {"kind": kind, "points": flat, "color": color, "dash": list(map(list, dash)), "width": width, "text": text}
 
 
 class SpacePlot:
@@ -90,9 +84,9 @@ class SpacePlot:
         seen = self._sees(self.figure, BODY | SCENE, azimuth, elevation, self.middle)
         self.figure.patches("xs", "ys", source=seen["shadow"], fill_color=PALE, line_color=PALE)
         self.figure.multi_line("xs", "ys", source=seen["floor"], line_color="color", line_width="width")
-        self.figure.text("x", "y", source=seen["ticks"], **_words(11))
         _draw_body(self.figure, seen, 12)
-        self.figure.text("x", "y", source=seen["names"], **_words(12))
+        words: Look = {"text": "text", "text_color": "color", "text_font_size": "12px"}
+        self.figure.text("x", "y", source=seen["names"], text_align="center", text_baseline="middle", **words)
         for kind in self.places:
             self.figure.scatter("x", "y", source=seen[kind], name=kind, line_color=BLACK, **MARKS[kind])
             show_named(self.figure, kind, False)
@@ -108,7 +102,7 @@ class SpacePlot:
             self.figure.js_on_event(event, turn)
 
     def _sees(
-        self, fig: Plot, what: Mapping[str, Sequence[str]], azimuth: Any, elevation: Any, center: Place
+        self, fig: Plot, what: Mapping[str, Sequence[str]], azimuth: Any, elevation: Any, center: tuple[float, ...]
     ) -> dict[str, ColumnDataSource]:
         """The sources of a figure with its direction of view; the browser updates them."""
         seen = {name: ColumnDataSource({column: [] for column in columns}) for name, columns in what.items()}
@@ -178,11 +172,6 @@ def places_told(columns: Mapping[str, np.ndarray]) -> list[np.ndarray]:
     return [1e3 * np.stack([columns[name] for name in names], axis=1) for names in told]
 
 
-def _words(size: int) -> Look:
-    look: Look = {"text": "text", "text_color": "color", "text_font_size": f"{size}px"}
-    return look | {"text_align": "center", "text_baseline": "middle"}
-
-
 def _draw_body(fig: Plot, seen: dict[str, ColumnDataSource], size: int) -> None:
     """The tube with its tendons, and the tip loads, from back to front; `size` of arrow heads in pixels."""
     line: Look = {"line_color": "color", "line_dash": "dash", "line_width": "width"}
@@ -238,24 +227,14 @@ def load_rows(what: Drawn) -> list[Row]:
 
 
 def floor_rows(length: float, square: float) -> list[Row]:
-    """Squares below a straight body along X, with scales at their edges and on posts at the corners, all mm."""
-
-    def scale(kind: str, axis: int, numbers: np.ndarray, name_at: float, start: Place, side: Place) -> list[Row]:
-        """Numbers along an axis through `start`, beside it, and the name of the axis in place of one of them."""
-        words = {at: (f"{at:g}", GREY) for at in numbers} | {name_at: (f"{'XYZ'[axis]} (mm)", BLACK)}
-        beside, along = np.array(start) + 0.06 * length * np.array(side), np.eye(3)[axis]
-        return [Row(kind, beside + at * along, color, text=text, side=side) for at, (text, color) in words.items()]
-
+    """Squares below a straight body along X, and the names of the axes along two edges, all mm."""
     ahead, aside, below = (square * np.ceil(part * length / square) for part in (AHEAD, ASIDE, BELOW))
-    x, y, z = (np.arange(low, high, square) for low, high in ((0.0, ahead), (-aside, aside), (-below, below)))
-    rows = [Row("floor", np.array([0.0, 0.0, -below]))]
-    rows += [Row("grid", np.array([[at, -aside, -below], [at, aside, -below]]), PALE) for at in (*x, ahead)]
-    rows += [Row("grid", np.array([[0.0, at, -below], [ahead, at, -below]]), PALE) for at in (*y, aside)]
-    for way, end in ((-1, 0.0), (1, ahead)):
-        rows += scale("edge", 0, x[1:], 0.0, (0.0, way * aside, -below), (0, way, 0))
-        rows += scale("edge", 1, y[1:], 0.0, (end, 0.0, -below), (way, 0, 0))
-        for other in (-1, 1):
-            corner, side = (end, other * aside, 0.0), (way * SLANT, other * SLANT, 0)
-            rows.append(Row("post", corner + np.outer([-below, below], np.eye(3)[2]), PALE, side=side))
-            rows += scale("post", 2, z[1:], below, corner, side)
-    return rows
+    x, y = np.arange(0.0, ahead + 0.5 * square, square), np.arange(-aside, aside + 0.5 * square, square)
+    beside = 0.06 * length
+    return [
+        Row("floor", np.array([0.0, 0.0, -below])),
+        *(Row("grid", np.array([[at, -aside, -below], [at, aside, -below]]), PALE) for at in x),
+        *(Row("grid", np.array([[0.0, at, -below], [ahead, at, -below]]), PALE) for at in y),
+        Row("name", np.array([ahead + beside, 0.0, -below]), text="X"),
+        Row("name", np.array([0.0, aside + beside, -below]), text="Y"),
+    ]

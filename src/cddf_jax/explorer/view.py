@@ -15,8 +15,6 @@ from ..errors import InputError, SolveError
 from ..estimation.determination import IDENTIFIED
 from ..quantities import QUANTITIES
 from ..reports.export import fields_csv
-from ..robot.cross_section import Kinematics
-from ..robot.manipulator import KINEMATICS
 from .controls import from_si, rounded
 from .model import Exploration, Picture, Settings
 from .parts import column, grid, plot, slider, title, words
@@ -65,7 +63,6 @@ class ExplorerView:
         self.moves: Moves = ()  # of tensions and loads, as far as they are remembered
         self.tendon = 0  # whose tension moved last
         body, s = exploration.manipulator, exploration.arc_length
-        self.several = body.num_tendons > 1
         self.body = SpacePlot(body) if body.in_space else BodyPlot(body, s)
         self.along = AlongPlots(self.body.over_arc_length, body.num_tendons, s)
         self.tension = TensionPlots(body.num_tendons, exploration.over)
@@ -92,10 +89,8 @@ class ExplorerView:
             pn.widgets.Select(name=f"Tendon {i}", options=SLIDES, value=direction or 0, width=105)
             for i, direction in enumerate(self.settings.direction, 1)
         ]
-        kinematics = self.settings.kinematics
-        self.kinematics = pn.widgets.Select(name="Kinematics", options=list(KINEMATICS), value=kinematics, width=105)
         self.reset = pn.widgets.Button(name="Back to the file's numbers", on_click=lambda _: self._start_again())
-        for widget in (*self.sliders.values(), *self.directions, self.kinematics):
+        for widget in (*self.sliders.values(), *self.directions):
             widget.param.watch(lambda _: self.change(), "value")
 
     def _make_words(self) -> None:
@@ -128,8 +123,7 @@ class ExplorerView:
             for name, label in FILES.items()
         ]
         files = column(title("Save"), pn.FlexBox(*downloads))
-        kinematics = [] if self.exploration.manipulator.in_space else [self.kinematics]
-        chosen = pn.FlexBox(*(self.directions if self.several else []), *kinematics)
+        chosen = pn.FlexBox(*(self.directions if len(self.directions) > 1 else []))
         return {
             "body": self.drawn["body"],
             "numbers": self.drawn["numbers"],
@@ -148,7 +142,6 @@ class ExplorerView:
             moved.param.update(start=min(moved.start, value), end=max(moved.end, value), value=value)
         for widget, direction in zip(self.directions, settings.direction, strict=True):
             widget.value = direction or 0
-        self.kinematics.value = settings.kinematics
 
     def _start_again(self) -> None:
         """Go back to the numbers of the file, without a past."""
@@ -167,7 +160,7 @@ class ExplorerView:
         tensions = self.exploration.controls[: self.exploration.manipulator.num_tendons]
         moved = [i for i, each in enumerate(tensions) if numbers[each.name] != self.settings.numbers[each.name]]
         self.tendon = moved[0] if moved else self.tendon
-        self.settings = Settings(numbers, directions, self.kinematics.value)
+        self.settings = Settings(numbers, directions)
         self._mark("computing", True, self.drawn)
         self.moves = after_move(self.moves, self.exploration, self.settings)
         self.threads.pictures.submit(self._guarded, self._draw, self.settings, self.moves, self.tendon)
@@ -269,13 +262,13 @@ class ExplorerView:
         self.fit_button.loading = True
         self.take_over.visible = False
         self.verdict.object = '<p role="status">Fitting, some seconds ...</p>'
-        self.threads.fits.submit(self._fit, self.settings.kinematics)
+        self.threads.fits.submit(self._fit)
 
-    def _fit(self, kinematics: Kinematics) -> None:
+    def _fit(self) -> None:
         from ..reports.fit_report import fit_in_words
 
         try:
-            fitted = self.exploration.fit(kinematics)
+            fitted = self.exploration.fit()
             text = fit_in_words(fitted)
             text += "\nbody: that of the file, wherever the sliders stand"
             if not fitted.success:

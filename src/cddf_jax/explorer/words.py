@@ -27,16 +27,12 @@ def numbers_html(picture: Picture) -> str:
     """The answer in numbers: a strip of them, and one row for each tendon."""
     found = picture.equilibrium
     place = zip("xyz", 1e3 * np.asarray(found.tip_position), strict=False)
-    twist = picture.peak_twist
-    curvature = "peak curvature" if twist is None else "peak bending"
     tiles = [
         ("tip angle", _number("tip_angle", f"{np.degrees(float(found.tip_angle)):.3f}", "deg")),
         *((f"tip {axis.upper()}", _number(f"tip_{axis}", f"{at:z.3f}", "mm")) for axis, at in place),
-        (curvature, _number("peak_curvature", f"{picture.peak_curvature:.4g}", "1/m")),
+        ("peak bending", _number("peak_curvature", f"{picture.peak_curvature:.4g}", "1/m")),
         ("error estimate", _number("error_estimate", f"{float(found.error_estimate):.1e}", "")),
     ]
-    if twist is not None:
-        tiles.insert(-1, ("peak twist", _number("peak_twist", f"{twist:.4g}", "1/m")))
     if np.isfinite(picture.peak_strain):
         tiles.insert(-1, ("peak strain", _number("peak_strain", f"{100 * picture.peak_strain:.3f}", "%")))
     several, rows = len(found.direction) > 1, []
@@ -80,9 +76,5 @@ def _line(tendon: int) -> str:
 
 
 def lines_html(text: str) -> str:
-    """Lines of text, such as the output of `cddf fit`, one paragraph each; what is identified is marked."""
-    marked = []
-    for line in text.splitlines():
-        kind = "lost" if "not identified" in line else "known" if line.endswith("identified") else ""
-        marked.append(f'<p class="{kind}">{escape(line)}</p>' if line.strip() else "")
-    return f'<div role="status" data-name="verdict">{"".join(marked)}</div>'
+    """Lines of text, such as the output of `cddf fit`, one paragraph each."""
+    return f'<div role="status" data-name="verdict">{"".join(map(paragraph, text.splitlines()))}</div>'

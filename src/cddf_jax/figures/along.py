@@ -19,6 +19,7 @@ from .geometry import BENDING, fields_along, lines_along, stations
 MARKERS = ("", "o", "s", "^", "D", "v", "x")  # one for each round through the dash patterns
 HEIGHT = 2.2  # inches
 STEPS_DRAWN = len(looks.CURVES)  # at most
+NUMBERED = 10  # steps that are all numbered
 SAME = 1e-8  # of the range of a quantity: points and lines that differ by less are drawn as one
 
 
@@ -49,7 +50,8 @@ def draw_along(
             "strain", the greatest of a cross-section that bends (%); "heading" (deg), in space the angle between the
             axes of cross-section and base; "outer_radius" (mm); "offset" (mm) or "angle" (deg) of the tendons.
         axes: where to draw; None for a new figure, one column wide.
-        steps: which steps of a history, from 0, have the numbers 1, 2, ...; those where it turns unless given.
+        steps: which steps of a history, from 0, have the numbers 1, 2, ...; those where it turns unless given. Of more
+            than ten only the turns are numbered.
         tendon: whose tensions and fronts are drawn of a history, from 0.
         style: of the lines, as `Axes.plot` takes it: color, label, ...
 
@@ -90,13 +92,13 @@ def draw_along(
 
 
 def _after_steps(
-    manipulator: Manipulator, history: History, quantity: str, s: np.ndarray, steps: Sequence[int], tendon: int
+    manipulator: Manipulator, history: History, quantity: str, s: np.ndarray, steps: dict[int, int], tendon: int
 ) -> tuple[dict[str, np.ndarray], dict[str, float]]:
     """The lines of one tendon after some steps, of which equal ones are one, and the fronts, m, both by label."""
     fields = evaluated(History.at, history, s)
     tension, fronts = tendon_values(history.base_tension, tendon), tendon_values(history.front, tendon)
     lines: dict[int, np.ndarray] = {}
-    for number, step in enumerate(steps, 1):
+    for number, step in steps.items():
         if np.any(tension[: step + 1]):
             own = lines_along(manipulator, jax.tree.map(lambda x, step=step: x[step], fields), quantity)
             if quantity == "curvature" and len(own) > 1:
@@ -104,15 +106,17 @@ def _after_steps(
             lines[number] = own[tendon if len(own) > 1 else 0]
     labels: dict[str, int] = {}  # the first number of each line
     for numbers in grouped_alike(lines)[-STEPS_DRAWN:]:
-        labels[f"{', '.join(map(str, numbers))}: {tension[steps[numbers[0] - 1]]:.4g} N"] = numbers[0]
-    return {x: lines[n] for x, n in labels.items()}, {x: float(fronts[steps[n - 1]]) for x, n in labels.items()}
+        labels[f"{', '.join(map(str, numbers))}: {tension[steps[numbers[0]]]:.4g} N"] = numbers[0]
+    return {x: lines[n] for x, n in labels.items()}, {x: float(fronts[steps[n]]) for x, n in labels.items()}
 
 
-def numbered_steps(history: History, steps: Sequence[int] | None, tendon: int) -> list[int]:
-    """The steps that have the numbers 1, 2, ...: those where the base tension turns unless given."""
+def numbered_steps(history: History, steps: Sequence[int] | None, tendon: int) -> dict[int, int]:
+    """By their numbers 1, 2, ... the steps that are given, or if these are many only turns; or else all turns."""
     if not np.all(np.isfinite(np.asarray(history.tip_angle))):
         raise InputError("a step of the trace failed, there is no history to draw; see its status")
-    return draw.turning_places(tendon_values(history.base_tension, tendon)) if steps is None else [*map(int, steps)]
+    turns = draw.turning_places(tendon_values(history.base_tension, tendon))
+    numbered = turns if steps is None else [*map(int, steps)]
+    return {n: step for n, step in enumerate(numbered, 1) if len(numbered) <= NUMBERED or step in turns}
 
 
 def tendon_values(values: ArrayLike, tendon: int) -> np.ndarray:

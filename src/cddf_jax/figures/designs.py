@@ -33,18 +33,16 @@ def design_figure(design: Design) -> Figure:
     shown = ("angle", "offset", "bending", "twist") if in_space else shown
     start: looks.Look = START | ({} if in_space else {"linestyle": (0, (4, 2))})  # in space dashes tell tendons apart
     with draw.house_style():
-        figure = draw.new_figure(draw.DOUBLE_COLUMN, 3.4 if len(shown) > 1 else HEIGHT)
+        figure = draw.new_figure(draw.DOUBLE_COLUMN, max(1.13 * len(shown), HEIGHT))
         left, right = cast(Sequence[SubFigure], figure.subfigures(1, 2, width_ratios=(1.45, 1)))
         draw_design(design, left.add_subplot(projection="3d" if in_space else None))
-        columns = 2 if in_space else 1
-        panels = right.subplots(len(shown) // columns, columns, sharex=True, squeeze=False).ravel()
+        panels = right.subplots(len(shown), sharex=True, squeeze=False).ravel()
         for quantity, panel in zip(shown, panels, strict=True):
             draw_along(design.start, design.equilibria_at_start[0], quantity, panel, **start)
             draw_along(design.manipulator, design.equilibria[0], quantity, panel, **END)
             if np.max(np.abs(panel.get_ylim())) < NOTHING:
                 panel.set_ylim(-1.0, 1.0)  # differences by rounding are not drawn
-        for panel in panels[:-columns]:
-            panel.set_xlabel("")
+            panel.label_outer()
         right.legend(*panels[-1].get_legend_handles_labels(), loc="outside upper center", ncols=2)
     return figure
 

@@ -6,7 +6,6 @@ from textwrap import fill
 from typing import NamedTuple, cast
 
 import numpy as np
-from jaxtyping import ArrayLike
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
@@ -27,9 +26,7 @@ from .history import draw_model_loops
 DEGREE = np.degrees(1.0)
 PANEL_HEIGHT, RESIDUAL_HEIGHT = 2.5, 1.7  # inches
 MOST_ACROSS = 3  # panels side by side
-BRANCHES = ((True, "o", "pulled"), (False, "v", "released"))
 MOST_SHOWN = 1.9**2  # times the rise at the ends of the interval: up to there a profile is drawn
-INTERVAL: looks.Look = {"fmt": "none", "ecolor": looks.SKY, "elinewidth": 2.5, "capsize": 0, "alpha": 0.5}
 
 
 # --- data and model ------------------------------------------------------------------------------
@@ -38,11 +35,11 @@ INTERVAL: looks.Look = {"fmt": "none", "ecolor": looks.SKY, "elinewidth": 2.5, "
 def draw_fit(fit: Fit, table: str | None = None, column: str | None = None, axes: Axes | None = None) -> Axes:
     """The readings of a column over base tension, N, and the fitted model with its 95 % band.
 
-    Readings of one level are drawn as their mean with one standard deviation. A pulley test is drawn as pulling tension
-    per weight over wrap angle, deg, so that one curve holds for every weight. Rows with a history are drawn with the
-    model along their path, trial by trial: solid when pulled, dashed when released; markers show the branch of a
-    reading. With several tendons, forces on the tip or a stated direction -1, no single curve holds for all rows: each
-    reading is then drawn over the prediction for its row, with the 95 % interval of the prediction.
+    A pulley test is drawn as pulling tension per weight over wrap angle, deg, so that one curve holds for every weight.
+    Rows with a history are drawn with the model along their path, trial by trial: solid when pulled, dashed when
+    released; markers show the branch of a reading. With several tendons, forces on the tip or a stated direction -1, no
+    single curve holds for all rows: each reading is then drawn over the prediction for its row, with the 95 % interval
+    of the prediction.
 
     Args:
         fit: of `fit`.
@@ -56,36 +53,27 @@ def draw_fit(fit: Fit, table: str | None = None, column: str | None = None, axes
     """
     panel = _panel_of("draw_fit", fit, table, column)
     with draw.axes_or_new(axes, PANEL_HEIGHT) as axes:
-        if panel.pulled is not None:
+        if panel.loops:
             draw_model_loops(axes, panel.loops)
-            for branch, marker, words in BRANCHES:
-                own, look = panel.pulled == branch, {"color": looks.BLACK, "markerfacecolor": "white", "zorder": 3}
-                label = f"{panel.data_label}, {words}"
-                axes.plot(panel.x[own], panel.observed[own], marker, linestyle="none", label=label, **look)
-        elif (curve := panel.curve) is None:
-            ends = [np.min(panel.x), np.max(panel.x)]
-            axes.plot(ends, ends, color=looks.BLUE, label="measured = predicted")
-            if np.all(np.isfinite(panel.half_width)):
-                interval = {"xerr": panel.half_width, "label": "95 % interval of the model"} | INTERVAL
-                axes.errorbar(panel.x, panel.observed, **interval)
-            look = {"color": looks.BLACK, "markerfacecolor": "none", "zorder": 3}
-            axes.plot(panel.x, panel.observed, "o", label=panel.data_label, **look)
-        else:
+        elif (curve := panel.curve) is not None:
             low, high = curve.value - curve.half_width, curve.value + curve.half_width
             draw.draw_band(axes, curve.grid, low, high, label="95 % band of the model")
             axes.plot(curve.grid, curve.value, color=looks.BLUE, label="model")
-            draw_levels(axes, panel.x, panel.observed, label=panel.data_label)
+        else:
+            ends = [np.min(panel.x), np.max(panel.x)]
+            axes.plot(ends, ends, color=looks.BLUE, label="measured = predicted")
+            if np.all(np.isfinite(panel.half_width)):
+                look = {"fmt": "none", "ecolor": looks.SKY, "elinewidth": 2.5, "capsize": 0, "alpha": 0.5}
+                interval = {"xerr": panel.half_width, "label": "95 % interval of the model"}
+                axes.errorbar(panel.x, panel.observed, **interval, **look)
+        _draw_readings(axes, panel, panel.observed)
         axes.set(xlabel=panel.x_label, ylabel=panel.y_label)
-        draw.legend_above(axes) if panel.loops else axes.legend(loc="best", frameon=False)
+        draw.legend_above(axes)
     return axes
 
 
 def draw_residuals(fit: Fit, table: str | None = None, column: str | None = None, axes: Axes | None = None) -> Axes:
-    """The residuals of a column, observed less predicted, over base tension, N, or wrap angle, deg.
-
-    Every reading is a dot. Mean and standard deviation of each level are drawn over the dots, and the 95 % band of the
-    model about zero. With a history markers show the branch, and each reading has its own 95 % interval of the model.
-    Where no single curve holds for all rows, the residuals are drawn over the prediction, as in `draw_fit`.
+    """The residuals of a column, observed less predicted, over what `draw_fit` draws it over.
 
     Args:
         fit, table, column, axes: as in `draw_fit`.
@@ -95,13 +83,27 @@ def draw_residuals(fit: Fit, table: str | None = None, column: str | None = None
     """
     panel = _panel_of("draw_residuals", fit, table, column)
     with draw.axes_or_new(axes, RESIDUAL_HEIGHT) as axes:
-        if (curve := panel.curve) is not None:
-            draw.draw_band(axes, curve.grid, -curve.half_width, curve.half_width)
-        elif np.all(np.isfinite(panel.half_width)):
-            axes.errorbar(panel.x, 0 * panel.x, yerr=panel.half_width, **INTERVAL)
-        draw_about_zero(axes, panel.x, panel.residual, levels=curve is not None, pulled=panel.pulled)
-        axes.set(xlabel=panel.x_label, ylabel=f"Residual{panel.unit}")
+        axes.axhline(0.0, color=looks.BLUE)
+        _draw_readings(axes, panel, panel.residual)
+        reach = 1.15 * np.max(np.abs(panel.residual)) or 1.0
+        axes.set(xlabel=panel.x_label, ylabel=f"Residual{panel.unit}", ylim=(-reach, reach))
     return axes
+
+
+def _draw_readings(axes: Axes, panel: "_Panel", values: np.ndarray) -> None:
+    """A marker for each reading; with a history it shows the branch."""
+    every = np.full(values.shape, True)
+    parts = (
+        [(every, "o", "")]
+        if panel.pulled is None
+        else [
+            (panel.pulled, "o", ", pulled"),
+            (~panel.pulled, "v", ", released"),
+        ]
+    )
+    look = {"linestyle": "none", "color": looks.BLACK, "markerfacecolor": "white", "zorder": 3}
+    for rows, marker, branch in parts:
+        axes.plot(panel.x[rows], values[rows], marker, label=f"{panel.data_label}{branch}", **look)
 
 
 def table_figures(fit: Fit) -> dict[str, Figure]:
@@ -145,8 +147,8 @@ class _Panel(NamedTuple):
     unit: str  # " (N)", "" for a plain number
     data_label: str
     curve: curves.ModelCurve | None = None  # None where no single one holds the rows
-    half_width: np.ndarray | float = np.nan  # of the 95 % interval of the predictions, where there is no curve
     loops: Sequence[curves.ModelCurve] = ()  # the model along the path of each trial that comes back
+    half_width: np.ndarray | float = np.nan  # of the 95 % interval of the predictions, where there is no line
     pulled: np.ndarray | None = None  # with loops, whether the tendon was pulled in each reading
 
 
@@ -160,7 +162,7 @@ def _panel_of(who: str, fit: Fit, table: str | None, column: str | None) -> _Pan
         raise InputError(f"{who}: the model gave no numbers for {column} of {name}; see fit.result")
     rows, there, curve = group.table, group.there, curves.model_curve(fit, group)
     observed, residual, kind = group.observed, fit.residuals[group.label], kind_of(column)
-    label = ("simulated data" if rows.simulated else "data") + (", mean ± sd" if curve is not None else "")
+    label = "simulated data" if rows.simulated else "data"
     if column == "pulling_tension" and curve is not None:
         weight, curve = rows["weight"][there], curve._replace(grid=DEGREE * curve.grid)
         numbers = DEGREE * rows["wrap_angle"][there], observed / weight, residual / weight
@@ -179,13 +181,11 @@ def _panel_of(who: str, fit: Fit, table: str | None, column: str | None) -> _Pan
     over_base = _Panel(size * rows[own][there], observed, residual, x_label, words, unit, label)
     if curve is not None:
         return over_base._replace(curve=scaled(curve))
-    half = scale * curves.half_width(fit, group)
     if loops := curves.model_loops(fit, group):
         assert isinstance(group.experiment, Bench)
         assert group.experiment.course is not None
-        pulled = group.experiment.course.pulled[there]
-        return over_base._replace(loops=[scaled(loop) for loop in loops], half_width=half, pulled=pulled)
-    words = words[0].lower() + words[1:]
+        return over_base._replace(loops=list(map(scaled, loops)), pulled=group.experiment.course.pulled[there])
+    words, half = words[0].lower() + words[1:], scale * curves.half_width(fit, group)
     labels = {"x_label": f"Predicted {words}", "y_label": f"Measured {words}"}
     return over_base._replace(x=observed - residual, half_width=half, **labels)
 
@@ -225,50 +225,6 @@ def _draw_quantiles(axes: Axes, group: tuple[str, np.ndarray]) -> None:
     axes.set_title(fill(name, 44), parse_math=False)  # dollar signs of a file name are no formula
 
 
-# --- readings by level ---------------------------------------------------------------------------
-
-
-def by_level(x: ArrayLike, y: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The readings y gathered by level: mean of x, mean of y, and its standard deviation, NaN where it was read once.
-
-    Those whose x agree within 2 % of the range of x, by which a set level may scatter, are of one level.
-    """
-    x, y = np.asarray(x, float), np.asarray(y, float)
-    order = np.argsort(x, kind="stable")
-    groups = np.split(order, np.flatnonzero(np.diff(x[order]) > 0.02 * np.ptp(x)) + 1)
-    deviation = [y[group].std(ddof=1) if len(group) > 1 else np.nan for group in groups]
-    level, mean = (np.array([values[group].mean() for group in groups]) for values in (x, y))
-    return level, mean, np.array(deviation)
-
-
-def draw_levels(axes: Axes, x: ArrayLike, y: ArrayLike, **style: looks.LookValue) -> None:
-    """Mean and standard deviation of y at each level of x, as markers with error bars."""
-    look = {"fmt": "o", "color": looks.BLACK, "markerfacecolor": "white", "elinewidth": 0.8, "zorder": 3}
-    axes.errorbar(*by_level(x, y), **(look | style))
-
-
-def draw_about_zero(
-    axes: Axes, x: np.ndarray, residual: np.ndarray, *, levels: bool = True, pulled: np.ndarray | None = None
-) -> None:
-    """Every residual about a line at zero.
-
-    They are dots, with mean and standard deviation at each level of x over them. If `pulled` says of each reading
-    whether the tendon was pulled, they are markers that show the branch.
-    """
-    if pulled is None:
-        axes.axhline(0.0, color=looks.BLUE)
-        axes.plot(x, residual, ".", color=looks.GREY, markersize=3.5, markeredgewidth=0)
-        if levels:
-            draw_levels(axes, x, residual, markersize=2.5)
-    else:
-        axes.axhline(0.0, color=looks.BLACK, linewidth=0.6)
-        for branch, marker, _ in BRANCHES:
-            look: looks.Look = {"color": looks.GREY, "markerfacecolor": "none", "markersize": 3}
-            axes.plot(x[pulled == branch], residual[pulled == branch], marker, **look)
-    reach = 1.15 * np.max(np.abs(residual), initial=0.0) or 1.0
-    axes.set_ylim(-reach, reach)
-
-
 # --- profiles of the likelihood --------------------------------------------------------------------
 
 
@@ -303,11 +259,12 @@ def draw_profile(fit: Fit, profile: Profile, axes: Axes | None = None) -> Axes:
             axes.axvline(scale * estimate, color=looks.BLACK, linestyle=":", label="estimate")
         patch = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0}
         look = {"transform": axes.transAxes, "va": "top", "color": looks.VERMILION, "bbox": patch}
-        if not profile.closed[0]:
-            word = "no solution" if profile.model_ends[0] else "bound" if status == AT_BOUND else "open"
-            axes.text(0.03, 0.96, word if word == "bound" else f"← {word}", ha="left", **look)
-        if not profile.closed[1]:
-            axes.text(0.97, 0.96, "no solution →" if profile.model_ends[1] else "open →", ha="right", **look)
+        sides = zip((0.03, 0.97), ("left", "right"), interval, profile.closed, profile.model_ends, strict=True)
+        for place, side, end, closed, model_ends in sides:
+            at_bound = status == AT_BOUND and np.isfinite(end)
+            word = "" if closed else "no solution" if model_ends else "bound" if at_bound else "open"
+            if word:
+                axes.text(place, 0.96, word, ha=side, **look)
         draw.legend_above(axes)
     return axes
 

@@ -13,12 +13,11 @@ from ..identification.curves import ModelCurve
 from ..quantities import QUANTITIES
 from ..robot.manipulator import Manipulator
 from . import looks, style as draw
-from .along import draw_along, grouped_alike, numbered_steps, tendon_values
+from .along import NUMBERED, draw_along, grouped_alike, numbered_steps, tendon_values
 
 HEIGHT = 2.4  # inches, of a figure as wide as a column
 LOOPS = ("tip_tension", "tip_angle", "tendon_displacement", "front")
 LEAST_LEG = 0.02  # of the range of a path; a shorter part has no arrow
-NUMBERED = 10  # steps that are all numbered; of more steps only some are
 PULLED: looks.Look = {"color": looks.BLUE, "linestyle": "-", "label": "pulled"}
 RELEASED: looks.Look = {"color": looks.VERMILION, "linestyle": (0, (5, 2)), "label": "released"}
 
@@ -35,7 +34,6 @@ def history_figure(
     Raises:
         InputError: when a step failed.
     """
-    steps = numbered_steps(history, steps, tendon)
     with draw.house_style():
         figure = draw.new_figure(draw.DOUBLE_COLUMN, 2 * HEIGHT + 0.3)
         tension, angle, along, energy = figure.subplots(2, 2).ravel()
@@ -64,7 +62,8 @@ def draw_loop(
         history: of `trace`; the closer its steps, the smoother the loop.
         quantity: "tip_tension" (N), "tip_angle" (deg), "tendon_displacement" (mm) or "front" (mm).
         axes: where to draw; None for a new figure, one column wide.
-        steps: which of its steps, from 0, have the numbers 1, 2, ...; those where it turns unless given.
+        steps: which of its steps, from 0, have the numbers 1, 2, ...; those where it turns unless given. Of more than
+            ten only the turns are numbered.
         tendon: whose tensions are drawn, from 0.
 
     Raises:
@@ -72,12 +71,12 @@ def draw_loop(
     """
     if quantity not in LOOPS:
         raise InputError(f"draw_loop: quantity must be one of {', '.join(LOOPS)}, got {quantity!r}")
-    steps = numbered_steps(history, steps, tendon)
+    numbered = numbered_steps(history, steps, tendon)
     x, y = tendon_values(history.base_tension, tendon), tendon_values(getattr(history, quantity), tendon)
     y = QUANTITIES[quantity].shown[0] * y
     with draw.axes_or_new(axes, HEIGHT) as axes:
         _draw_path(axes, x, y)
-        _number_points(axes, x, y, steps)
+        _number_points(axes, x, y, numbered)
         axes.set(xlabel=_label(history, "base_tension", tendon), ylabel=_label(history, quantity, tendon))
         axes.margins(0.08, 0.12)
         draw.legend_above(axes)
@@ -98,10 +97,10 @@ def draw_energy(
     Raises:
         InputError: when a step failed.
     """
-    steps = numbered_steps(history, steps, tendon)
+    numbered = numbered_steps(history, steps, tendon)
     of, scale = history.energies, QUANTITIES["work"].shown[0]
     work, lost, stored = (scale * np.asarray(energy) for energy in (of.work, of.friction_loss, of.stored_energy))
-    at = np.interp(np.arange(len(work)), steps, np.arange(1, len(steps) + 1))
+    at = np.interp(np.arange(len(work)), [*numbered.values()], [*numbered])
     with draw.axes_or_new(axes, HEIGHT) as axes:
         look = {"facecolor": looks.YELLOW, "edgecolor": looks.GREY, "hatch": "/////", "linewidth": 0}
         axes.fill_between(at, 0.0, stored, facecolor=looks.SKY, linewidth=0, label="stored in the body")
@@ -111,9 +110,8 @@ def draw_energy(
         axes.set(xlabel="Step, base tension (N)", ylabel="Energy (mJ)")
         axes.margins(0.0, 0.05)
         axes.set_ylim(bottom=min(0.0, *stored, *work))
-        tensions = tendon_values(history.base_tension, tendon)[steps]
-        named = np.arange(0, len(steps), -(-len(steps) // NUMBERED))
-        axes.set_xticks(named + 1, [f"{i + 1}\n{tensions[i]:.4g}" for i in named])
+        tension, some = tendon_values(history.base_tension, tendon), [*numbered][:: -(-len(numbered) // NUMBERED)]
+        axes.set_xticks(some, [f"{n}\n{tension[numbered[n]]:.4g}" for n in some])
         draw.legend_above(axes, 3)
     return axes
 
@@ -145,13 +143,8 @@ def _label(history: History, quantity: str, tendon: int) -> str:
     return label.replace(" (", f" {tendon + 1} (", 1) if per_tendon else label
 
 
-def _number_points(axes: Axes, x: np.ndarray, y: np.ndarray, steps: Sequence[int]) -> None:
-    """A dot with its numbers at each point: the label is below on the right after a pull, else above on the left.
-
-    If there are many steps, only turns are numbered.
-    """
-    turns, many = draw.turning_places(x), len(steps) > NUMBERED
-    numbered = {number: step for number, step in enumerate(steps, 1) if step in turns or not many}
+def _number_points(axes: Axes, x: np.ndarray, y: np.ndarray, numbered: dict[int, int]) -> None:
+    """A dot with its numbers at each point: the label is below on the right after a pull, else above on the left."""
     sizes = np.array([np.ptp(x) or 1.0, np.ptp(y) or 1.0])
     for numbers in sorted(grouped_alike({n: np.array([x[step], y[step]]) / sizes for n, step in numbered.items()})):
         step = numbered[numbers[0]]

@@ -8,15 +8,12 @@ from typing import Any, TypeVar, cast
 
 import matplotlib as mpl
 import numpy as np
-from jaxtyping import ArrayLike
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure, FigureBase
-from matplotlib.lines import Line2D
-from matplotlib.markers import MarkerStyle
 from matplotlib.style import context
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from mpl_toolkits.mplot3d.axes3d import Axes3D
@@ -195,28 +192,22 @@ def draw_wall(axes: Axes, body: Body) -> None:
 def draw_tendons(axes: Axes, what: Drawn, shown: Sequence[int], sight: np.ndarray | None = None) -> None:
     """The tendons in some of the three coordinates, coloured by tension with a dark rim, a dot at each anchor.
 
-    Where the body hides them from the direction `sight` they are dashed; None for a body that is cut open.
+    Where the body hides them from the direction `sight` they are dashed and black; None for a body that is cut open.
     """
-    norm = tension_scale(what.tension)
+    look = {"cmap": TENSION_COLOURS, "norm": tension_scale(what.tension), "linewidth": 1.5, "capstyle": "round"}
     for path, tension, anchor in zip(what.tendons, what.tension, what.anchors, strict=True):
         hidden = np.full(tension.shape, False) if sight is None else what.body.is_hidden(path, sight)
-        seen, dashes = np.where(hidden, np.nan, tension), np.where(hidden, _dashed(path, tension), np.nan)
-        axes.plot(*np.where(np.isnan(seen)[:, None], np.nan, path[:, shown]).T, color=BLACK, linewidth=2.2, zorder=5.5)
-        for values, width, cap in ((seen, 1.5, "round"), (dashes, 1.0, "butt")):
-            pieces, between = np.stack([path[:-1, shown], path[1:, shown]], axis=1), 0.5 * (values[:-1] + values[1:])
-            there = np.isfinite(between)
-            look = {"cmap": TENSION_COLOURS, "norm": norm, "linewidth": width, "capstyle": cap, "zorder": 6}
-            if np.any(there) and isinstance(axes, Axes3D):
-                axes.add_collection3d(Line3DCollection(list(pieces[there]), array=between[there], **look))
-            elif np.any(there):
-                axes.add_collection(LineCollection(list(pieces[there]), array=between[there], **look))
+        parts, flat = np.isfinite(tension) & [hidden, ~hidden], path[:, shown]
+        for part, dashes, width in zip(parts, ((0, (4, 2)), "-"), (0.8, 2.2), strict=True):
+            line = np.where(part[:, None], flat, np.nan)
+            axes.plot(*line.T, color=BLACK, linestyle=dashes, linewidth=width, zorder=5.5)
+        there = parts[1, :-1] & parts[1, 1:]
+        pieces, values = np.stack([flat[:-1], flat[1:]], axis=1)[there], 0.5 * (tension[:-1] + tension[1:])[there]
+        if isinstance(axes, Axes3D) and len(pieces):
+            axes.add_collection3d(Line3DCollection(list(pieces), array=values, zorder=6, **look))
+        elif len(pieces):
+            axes.add_collection(LineCollection(list(pieces), array=values, zorder=6, **look))
         axes.plot(*anchor[shown], "o", color=BLACK, markersize=2.3, zorder=7)
-
-
-def _dashed(path: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Values along a line, NaN in the gaps between dashes of a 48th of its length."""
-    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(np.nan_to_num(path), axis=0), axis=1)))
-    return np.where((way * 48 / way[-1]).astype(int) % 2 == 0, values, np.nan)
 
 
 def draw_loads(axes: Axes, what: Drawn, shown: Sequence[int]) -> None:
@@ -233,27 +224,16 @@ def draw_loads(axes: Axes, what: Drawn, shown: Sequence[int]) -> None:
 
 
 def legend_of_loads(axes: Axes, what: Drawn) -> None:
-    """The size of each load by its arrow, and of other lines with labels; in space numbers tell the way of gravity."""
-
-    def size(vector: ArrayLike) -> str:
-        return f"{np.linalg.norm(np.asarray(vector)):.3g}"
-
-    gravity = np.asarray(what.loads.gravity)
-    way = f"({', '.join(f'{x:.3g}' for x in gravity)})".replace("-", "\N{MINUS SIGN}")
+    """The size of each load by the colour of its arrow, gravity by its components, and other lines with labels."""
     places = ["", *(f" at {1e3 * float(point.arc_length):.3g} mm" for point in what.loads.points)]
-    entries = []
+    gravity = np.asarray(what.loads.gravity)[: 3 if what.in_space else 2]
+    components = ", ".join(f"{x:.3g}" for x in gravity).replace("-", "\N{MINUS SIGN}")
+    entries = [(gravity, f"$g$ = ({components}) m/s$^2$", "none")]
     for place, (_, force, moment) in zip(places, what.acting, strict=True):
-        entries.append((force, f"$F$ = {size(force)} N{place}", VERMILION))
-        entries.append((moment, f"$m$ = {size(moment)} N m{place}", PURPLE))
-    entries.append((gravity, f"$g$ = {way if what.in_space else size(gravity)} m/s$^2$", BLACK))
-    handles = [*axes.get_legend_handles_labels()[0]]
+        entries.append((force, f"$F$ = {np.linalg.norm(force):.3g} N{place}", VERMILION))
+        entries.append((moment, f"$m$ = {np.linalg.norm(moment):.3g} N m{place}", PURPLE))
     for load, label, color in entries:
-        x, y, turn = load
-        marker = MarkerStyle(r"$\rightarrow$").rotated(rad=0.0 if what.in_space else float(np.arctan2(y, x)))
-        if color == PURPLE:
-            marker = r"$\curvearrowright$" if turn < 0 else r"$\curvearrowleft$"
         if np.any(load):
-            handles.append(Line2D([], [], marker=marker, color=color, linestyle="none", markersize=9, label=label))
-    if handles:
-        place = "upper left" if what.in_space else "best"
-        axes.legend(handles=handles, loc=place, columnspacing=1.2, handletextpad=0.3)
+            axes.plot([], [], color=color, label=label)
+    if _labelled([axes]):
+        axes.legend(loc="upper left" if what.in_space else "best")

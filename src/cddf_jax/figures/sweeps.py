@@ -12,13 +12,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from matplotlib.patheffects import withStroke
 
 from ..errors import InputError
 from ..quantities import QUANTITIES
 from ..statics.status import Status
 from ..sweeping.axes import PATH
-from ..sweeping.one_solve import COMPONENTS, RESULT
+from ..sweeping.one_solve import RESULT
 from ..units import DIMENSION_OF, preferred
 from . import looks, style as draw
 
@@ -137,21 +136,16 @@ def sweep_figure(answer: "xarray.Dataset", outputs: Sequence[str]) -> Figure:
     """
     answer = answer.drop_dims("point", errors="ignore").squeeze(drop=True)
     dims = [str(dimension) for dimension in answer[RESULT].dims]
-    over, path = [name for name in dims if name in varying_numbers(answer)], answer.attrs.get(PATH)
-    if path in dims:
-        if path not in over:
-            raise InputError(f"several numbers vary along the path {path}; draw_lines draws an output over one of them")
+    over = [name for name in dims if name in varying_numbers(answer)]
+    if (path := answer.attrs.get(PATH)) in dims:
         over = [path]
     if not over:
         raise InputError("no number varies along an axis of its own; choose what to draw with xarray")
     if len(over) > 2 or (len(over) == 2 and len(dims) > 2):
         raise InputError(f"{len(dims)} axes are too many for one figure; choose with xarray")
+    one = draw_lines if len(over) == 1 else draw_map
     parts = [(part, name) for name in outputs for part in _components(answer, name)]
-
-    def draw_one(panel: Axes, what: "tuple[xarray.Dataset, str]") -> None:
-        draw_lines(*what, over[0], panel) if len(over) == 1 else draw_map(*what, over[0], over[1], panel)
-
-    return draw.panels_figure(draw_one, parts, 2.1)
+    return draw.panels_figure(lambda panel, part: one(*part, *over, axes=panel), parts, 2.1)
 
 
 def _components(answer: "xarray.Dataset", name: str) -> "list[xarray.Dataset]":
@@ -198,12 +192,7 @@ def _draw_map(axes: Axes, array: "xarray.DataArray", x: str, y: str) -> None:
     if values.count():
         filled = axes.contourf(*points, values, 8, cmap=draw.TENSION_COLOURS)
         if within := [level for level in filled.levels if values.min() < level < values.max()]:
-            look = {"colors": looks.BLACK, "linewidths": 0.5, "linestyles": "solid"}
-            lines = axes.contour(*points, values, within, **look)
-            for text in axes.clabel(lines, fmt="%g", fontsize=7, colors=looks.BLACK, inline=False):
-                text.set_path_effects([withStroke(linewidth=2.0, foreground="white")])
-                place = axes.transAxes.inverted().transform(axes.transData.transform(text.get_position()))
-                text.set_visible(bool(np.all(np.abs(place - 0.5) < 0.44)))  # not over the frame
+            axes.contour(*points, values, within, colors=looks.BLACK, linewidths=0.5, linestyles="solid")
         draw.scale_beside(axes, filled, axis_label(array))
     if lost:
         look = {"facecolor": looks.PALE, "edgecolor": looks.GREY, "hatch": "/////", "linewidth": 0.0, "zorder": 0}
@@ -260,18 +249,10 @@ def axis_label(array: "xarray.DataArray") -> str:
 
 
 def name_in_words(name: str) -> str:
-    """The name of a number or output in words: "loads.tip_force.1" is "Tip force Y".
-
-    The value of a target is called so: "Base tension target".
-    """
+    """The name of a number or output in words: "outer_radius.tip" is "Outer radius tip"."""
     if name in QUANTITIES:
         return QUANTITIES[name].label
-    name = name.removeprefix("loads.").replace("tendons.", "tendon.").replace("points.", "load.")
-    parts = name.replace(".value", ".target").split(".")
-    vectors = ("tip_force", "tip_moment", "gravity", "force", "moment")
-    places = [COMPONENTS if before in vectors else range(1, 100) for before in ("", *parts)]
-    parts = [str(own[int(part)]) if part.isdigit() else part for part, own in zip(parts, places, strict=False)]
-    words = " ".join(parts).replace("_", " ")
+    words = name.removeprefix("loads.").replace(".", " ").replace("_", " ")
     return words[:1].upper() + words[1:]
 
 

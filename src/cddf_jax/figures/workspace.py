@@ -36,9 +36,7 @@ class Cloud(NamedTuple):
         return Normalize(self.values.min(), self.values.max())
 
 
-def draw_workspace(
-    dataset: "xarray.Dataset", by: "str | xarray.DataArray | None" = None, axes: Axes | None = None
-) -> Axes:
+def draw_workspace(dataset: "xarray.Dataset", by: str | None = None, axes: Axes | None = None) -> Axes:
     """Where the tip goes in a sweep, mm, a dot for each solve, coloured by a quantity; in space with shadows.
 
     Doubtful solves are hollow, and failed ones are left out; the legend says why. If there are more than 20,000 solves,
@@ -47,10 +45,8 @@ def draw_workspace(
     Args:
         dataset: of `sweep`, with the output tip_position.
         by: what colours the dots: the name of a number that varies or of an output with one number for each solve, such
-            as "tip_angle"; or an array with one number for each solve, whose name and attribute "units" label the
-            colour scale, such as (dataset.tip_tension.sum("tendon") /
-            dataset.base_tension.sum("tendon")).rename("tension that arrives").assign_attrs(units="1"). None for the sum
-            of the base tensions, or the first number that varies where they are not all known.
+            as "tip_angle", also of one that you add, as in dataset.assign(highest=dataset.tip_tension.max("tendon")).
+            None for the sum of the base tensions where all of them vary, or else the first number that varies.
         axes: where to draw, of a body in space with projection="3d"; None for a new figure, one column wide.
 
     Raises:
@@ -62,7 +58,7 @@ def draw_workspace(
     return axes
 
 
-def workspace_figure(dataset: "xarray.Dataset", by: "str | xarray.DataArray | None" = None) -> Figure:
+def workspace_figure(dataset: "xarray.Dataset", by: str | None = None) -> Figure:
     """Where the tip goes in a sweep: in space as a cloud in three dimensions, with three plane views to one scale.
 
     Args:
@@ -80,19 +76,18 @@ def workspace_figure(dataset: "xarray.Dataset", by: "str | xarray.DataArray | No
     return figure
 
 
-def _cloud(dataset: "xarray.Dataset", by: "str | xarray.DataArray | None") -> Cloud:
+def _cloud(dataset: "xarray.Dataset", by: str | None) -> Cloud:
     """Tips and values, in the units of their labels."""
     if "tip_position" not in dataset.data_vars or RESULT not in dataset:
         raise InputError("workspace: there is no tip_position; ask the sweep for it, with outputs=('tip_position',)")
-    array = _coloured_by(dataset, by)
+    dataset, name = _with_colour(dataset, by)
     swept = dataset[RESULT].dims
-    if several := [str(dim) for dim in array.dims if dim not in swept]:
-        raise InputError(f"workspace: {array.name} has more than one number for each solve; choose one {several[0]}")
-    name, given = str(array.name), dataset[["tip_position", RESULT]].load()
-    shown = in_label_units(given.assign({name: array.load()}))
-    codes = given[RESULT].values.ravel()
+    if several := [str(dim) for dim, count in dataset[name].sizes.items() if dim not in swept and count > 1]:
+        raise InputError(f"workspace: {name} has more than one number for each solve; choose one {several[0]}")
+    given = dataset[["tip_position", name, RESULT]].load()
+    shown, codes = in_label_units(given), given[RESULT].values.ravel()
     tips = shown["tip_position"].transpose(*swept, "component").values.reshape(len(codes), -1)
-    values = shown[name].broadcast_like(given[RESULT]).transpose(*swept).values.ravel()
+    values = shown[name].broadcast_like(given[RESULT]).transpose(*swept, ...).values.ravel()
     there = np.flatnonzero(np.all(np.isfinite(tips), axis=1) & np.isfinite(values))
     if not there.size:
         raise InputError("workspace: no solve gave a tip; see the results of the sweep")
@@ -104,24 +99,18 @@ def _cloud(dataset: "xarray.Dataset", by: "str | xarray.DataArray | None") -> Cl
     return Cloud(places, values[some], codes[some], axis_label(shown[name]), words, components == 3)
 
 
-def _coloured_by(dataset: "xarray.Dataset", by: "str | xarray.DataArray | None") -> "xarray.DataArray":
-    """One number for each solve."""
+def _with_colour(dataset: "xarray.Dataset", by: str | None) -> "tuple[xarray.Dataset, str]":
+    """The sweep, with the sum of its base tensions where it is asked for, and the name of what colours the dots."""
     numbers = varying_numbers(dataset)
-    if by is None:
-        parts = [dataset[name] for name in numbers if stem_and_tendon(name)[0] == "base_tension"]
-        if "base_tension" in dataset.data_vars:
-            parts = [dataset["base_tension"].sum("tendon", skipna=False)]
-        elif len(parts) != dataset.sizes.get("tendon"):
-            parts = []
-        if parts:
-            return sum(parts[1:], parts[0]).rename("total_tension").assign_attrs(units="N")
-        by = numbers[0] if numbers else "base_tension"
-    if not isinstance(by, str):
-        return by if by.name else by.rename("colour")
+    pulls = [dataset[name] for name in numbers if stem_and_tendon(name)[0] == "base_tension"]
+    if by is None and pulls and len(pulls) == dataset.sizes.get("tendon"):
+        by = "total_tension"
+        dataset = dataset.assign({by: sum(pulls[1:], pulls[0]).assign_attrs(units="N")})
+    by = numbers[0] if by is None and numbers else by or "tip_angle"
     if by not in dataset:
         there = ", ".join(map(str, (*dataset.data_vars, *dataset.coords)))
         raise InputError(f"workspace: {by!r} is neither an output nor a number that varies; there are {there}")
-    return dataset[by].squeeze(drop=True) if by not in dataset.dims else dataset[by]
+    return dataset, by
 
 
 # --- drawing -------------------------------------------------------------------------------------

@@ -9,37 +9,27 @@ from ..files.manipulator_file import manipulator_text
 from .report import Content, Report
 
 
-def design_report(task: DesignTask, found: Design) -> Report:
-    """A design; the files hold the new manipulator only where it keeps to all limits."""
-    answer, text = found.as_dict(), str(found)
+def design_report(task: DesignTask, found: Design | ParetoFront) -> Report:
+    """A design or a trade-off; the files hold the manipulators of those designs that keep to all limits."""
+    is_front = isinstance(found, ParetoFront)
+    designs = {f"design_{i}": each for i, each in enumerate(found.designs, 1)} if is_front else {"design": found}
+    name, answer, text = "pareto" if is_front else "design", found.as_dict(), str(found)
 
     def files() -> dict[str, Content]:
-        made: dict[str, Content] = {"design.md": text + "\n"}
-        if found.feasible:
-            made |= {"design.toml": _manipulator_file(task, found), "design": figures.design_figure(found)}
-        if found.feasible and found.manipulator.has_radii:
-            made["profile.csv"] = cross_sections_csv(found.manipulator)
-        return made
+        made: dict[str, Content] = {f"{name}.md": text + "\n"}
+        if isinstance(found, ParetoFront):
+            from ..figures.style import figure_of
+
+            made[name] = figure_of(figures.draw_trade_off(found))
+        elif found.feasible:
+            made[name] = figures.design_figure(found)
+            made |= {"profile.csv": cross_sections_csv(found.manipulator)} if found.manipulator.has_radii else {}
+        return made | {f"{each}.toml": _file(task, design) for each, design in designs.items() if design.feasible}
 
     failure = "" if found.success else f"the design is not done: {answer['result']}"
-    return Report("design", text, answer, files, failure)
+    return Report(name, text, answer, files, failure)
 
 
-def trade_off_report(task: DesignTask, front: ParetoFront) -> Report:
-    """A trade-off; the files hold the manipulators of the points that keep to all limits."""
-    answer, text = front.as_dict(), str(front)
-
-    def files() -> dict[str, Content]:
-        from ..figures.style import figure_of
-
-        feasible = {i: found for i, found in enumerate(front.designs, 1) if found.feasible}
-        robots = {f"design_{i}.toml": _manipulator_file(task, found) for i, found in feasible.items()}
-        return {"pareto.md": text + "\n", "pareto": figure_of(figures.draw_trade_off(front))} | robots
-
-    failure = "" if front.success else f"the design is not done: {answer['result']}"
-    return Report("pareto", text, answer, files, failure)
-
-
-def _manipulator_file(task: DesignTask, found: Design) -> str:
+def _file(task: DesignTask, found: Design) -> str:
     outside = task.arguments["offsets_outside_wall"]
     return manipulator_text(found.manipulator, offsets_outside_wall=outside, gravity=task.gravity)

@@ -1,4 +1,4 @@
-"""Results for other tools: xarray for labelled arrays and NetCDF, pandas for tables and CSV.
+"""Results for other tools: xarray for labelled arrays, pandas for tables and CSV.
 
 A sweep's answer is an `xarray.Dataset` already.
 """
@@ -14,10 +14,7 @@ from ..estimation.determination import IDENTIFIED, NOT_IDENTIFIED, Determination
 from ..files.csv_table import table_csv
 from ..files.writing import picked
 from ..history.history import ENERGIES, History
-from ..identification.experiment_design import Plan
 from ..identification.parameters import unit_of
-from ..measurements.columns import column_dimension
-from ..measurements.table import Measurements
 from ..mechanics.fields import AnyFields
 from ..numerics.arrays import evaluated
 from ..numerics.given_numbers import check_numbers
@@ -25,7 +22,6 @@ from ..quantities import QUANTITIES
 from ..statics.equilibrium import Equilibrium
 from ..statics.equilibrium_text import result_in_words
 from ..sweeping.one_solve import AXES, OUTPUTS_OF, attributes, coordinates
-from ..units import Dimension, si_unit
 
 if TYPE_CHECKING:
     import pandas
@@ -54,8 +50,6 @@ def as_dataset(equilibrium: Equilibrium, arc_length: ArrayLike | Sequence[float]
         InputError: for a batch of equilibria, arc lengths outside the body, or where xarray is not installed.
     """
     xarray = needed("xarray")
-    if isinstance(equilibrium, History):
-        raise InputError("as_dataset: needs an equilibrium, got a history; `as_frame` tables its steps")
     s = _stations(equilibrium, arc_length)
     fields = evaluated(Equilibrium.at, equilibrium, s)
     data, known = {}, OUTPUTS_OF[len(equilibrium.tip_position)]
@@ -70,8 +64,8 @@ def as_dataset(equilibrium: Equilibrium, arc_length: ArrayLike | Sequence[float]
     return dataset.assign_coords(coordinates((), {}, dataset.sizes))
 
 
-def as_frame(what: Equilibrium | History | Determination | Measurements | Plan) -> "pandas.DataFrame":
-    """A table in SI units of an equilibrium, a history, a fit, measurements or a plan.
+def as_frame(what: Equilibrium | History | Determination) -> "pandas.DataFrame":
+    """A table in SI units of an equilibrium, a history or a fit.
 
     - Equilibrium: its fields, a row for each of 201 arc lengths. Columns have their units, and tendons count from 1. In
       space "curvature_x" is the twist, and "frame_x_y" the first component of the axis y.
@@ -79,9 +73,6 @@ def as_frame(what: Equilibrium | History | Determination | Measurements | Plan) 
     - Fit (or any `Determination`): a row for each parameter, and for each combination that is identified in place of
       its parts, with value, standard_error, lower, upper (95 %), unit and status. A parameter that is not identified
       has the value NaN and an infinite standard error.
-    - Measurements: the columns of the file with their units; `trial` in the words of the file.
-    - Plan: a row for each candidate, the best first, with gain, cost and the expected standard error of each parameter,
-      infinite for one that would stay unidentified.
 
     Raises:
         InputError: for a batch of equilibria, or where pandas is not installed.
@@ -95,21 +86,7 @@ def as_frame(what: Equilibrium | History | Determination | Measurements | Plan) 
             return pandas.DataFrame(history_columns(history_numbers(what)))
         case Determination():
             return pandas.DataFrame(_parameters(what)).set_index("parameter")
-        case Measurements():
-            trials = [what.trial_labels[int(code)] for code in what["trial"]] if "trial" in what.columns else []
-            known: dict[str, Dimension | None] = {name: column_dimension(name) for name in what.columns}
-            heads = {n: n if dimension is None else f"{n} [{si_unit(dimension)}]" for n, dimension in known.items()}
-            return pandas.DataFrame({head: trials if n == "trial" else what[n] for n, head in heads.items()})
-        case Plan():
-            rows = [
-                {"candidate": ranked.candidate.name, "gain": ranked.gain}
-                | {f"{name} [{unit_of(name)}]": ranked.expected.standard_error[name] for name in what.now.names}
-                for ranked in what.ranking
-            ]
-            return pandas.DataFrame(rows).set_index("candidate")
-    raise TypeError(
-        f"as_frame takes an Equilibrium, a History, a Fit, Measurements or a Plan, got {type(what).__name__}"
-    )
+    raise TypeError(f"as_frame takes an Equilibrium, a History or a Fit, got {type(what).__name__}")
 
 
 def fields_csv(fields: AnyFields) -> str:

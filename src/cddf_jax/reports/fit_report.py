@@ -10,7 +10,7 @@ import numpy as np
 from .. import figures
 from ..batch.drafts import check_folder
 from ..errors import InputError
-from ..estimation.determination import AT_BOUND, NOT_IDENTIFIED, Determination
+from ..estimation.determination import NOT_IDENTIFIED, Determination
 from ..estimation.profile_likelihood import Profile
 from ..files.manipulator_file import manipulator_text
 from ..files.writing import markdown_table, picked
@@ -150,7 +150,6 @@ def fit_as_markdown(
     """
     later = [warning for warning in fit.warnings if warning not in fit.remarks]  # remarks are in the first lines
     sections = [
-        ("Correlation", _correlation(fit)),
         ("Profiles", _profiles(profiles)),
         ("Each table alone determines", _bullets(_each_alone(fit))),
         ("Trials", _trials(fit)),
@@ -216,14 +215,6 @@ def parameter_rows(determination: Determination) -> list[list[str]]:
     return rows
 
 
-def _correlation(fit: Fit) -> list[str]:
-    known = fit.rank == len(fit.names)  # else the data tell no correlation of what is not identified
-    names = [name for name in fit.own_names if fit.status[name] not in (AT_BOUND, known or NOT_IDENTIFIED)]
-    places = [fit.names.index(name) for name in names]
-    rows = [[name, *(f"{fit.correlation[i, k]:.4f}" for k in places)] for name, i in zip(names, places, strict=True)]
-    return markdown_table(("parameter", *names), rows) if len(names) > 1 else []
-
-
 def _profiles(profiles: Mapping[str, Profile]) -> list[str]:
     rows = []
     for name, profile in profiles.items():
@@ -251,22 +242,21 @@ def _trials(fit: Fit) -> list[str]:
 
 
 def _noise(fit: Fit) -> list[str]:
-    head = ("data", "standard deviation", "made of")
     rows = []
-    for label, deviation in fit.noise.items():
+    for label, deviation in (fit.noise | fit.input_noise).items():
         scale, unit = preferred(column_dimension(label.rpartition(": ")[2]) or "dimensionless")
-        made_of = "the same for all"
+        kind = "the same for all"
         if label in fit.noise_model:
             floor, fraction = (part or 0.0 for part in fit.noise_model[label])
-            made_of = f"{scale * floor:.3g} {unit} and {100 * fraction:.3g} % of the value"
-        rows.append([label, f"{scale * deviation:.3g} {unit}", made_of])
-    for label, deviation in fit.input_noise.items():
-        kind = "estimated" if label in fit.evidence.estimated_inputs else "as given" if deviation else "none is seen"
-        scale, unit = preferred(column_dimension(label.rpartition(": ")[2]) or "dimensionless")
+            kind = f"{scale * floor:.3g} {unit} and {100 * fraction:.3g} % of the value"
+        if label in fit.input_noise:
+            kind = (
+                "estimated" if label in fit.evidence.estimated_inputs else "as given" if deviation else "none is seen"
+            )
         rows.append([label, f"{scale * deviation:.3g} {unit}", kind])
     kind = "estimated from the residuals" if fit.noise_estimated else "as given"
     text = f"Noise {kind}; {fit.degrees_of_freedom} degrees of freedom; rank {fit.rank}; {fit.result}."
-    return [*markdown_table(head, rows), "", text]
+    return [*markdown_table(("data", "standard deviation", "made of"), rows), "", text]
 
 
 def _figures(drawn: Sequence[str], missing: Mapping[str, str]) -> list[str]:

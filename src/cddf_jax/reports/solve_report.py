@@ -80,10 +80,8 @@ def solve_in_words(equilibrium: Equilibrium, actuation: Entries, texts: Sequence
 def _loads_in_words(loads: Loads, equilibrium: Equilibrium) -> list[str]:
     loads = loads.with_components(len(equilibrium.tip_position))
     force, moment, at_base = map(_components, (loads.tip_force, loads.tip_moment, equilibrium.base_moment))
-    steps = int(equilibrium.num_load_steps)
     return [
-        f"loads: tip force {force} N, tip moment {moment} N m, {gravity_in_words(loads.gravity)}; "
-        f"put on in {steps} step{'s' if steps > 1 else ''}",
+        f"loads: tip force {force} N, tip moment {moment} N m, {gravity_in_words(loads.gravity)}",
         *map(point_in_words, loads.points),
         f"moment of the loads at the base: {at_base} N m",
     ]

@@ -83,7 +83,7 @@ def run_sweep(work: Sweep, store: Path, options: Mapping[str, object]) -> "tuple
 
 
 def sweep_report(work: Sweep, answer: "xarray.Dataset", summary: Json, name: str, csv: Path | None) -> Report:
-    """The summary of `run_sweep`, the figures or why there is none, and the answer in the files that are named."""
+    """The summary of `run_sweep`, the figures or why there is none, and the answer as a table if it has a name."""
     drawn, no_figure = [output for output in work.outputs if is_short(answer[output])], ""
     made: dict[str, Content] = {}
     try:
@@ -91,8 +91,8 @@ def sweep_report(work: Sweep, answer: "xarray.Dataset", summary: Json, name: str
     except InputError as error:
         no_figure = str(error)
     tips = answer.data_vars.get("tip_position")
-    if tips is not None and tips.sizes["component"] == 3 and bool(tips.notnull().all("component").any()):
-        with suppress(InputError):  # no number varies
+    if tips is not None and tips.sizes["component"] == 3:
+        with suppress(InputError):  # no number varies, or no solve gave a tip
             made[f"{name}_workspace"] = figures.workspace_figure(answer)
 
     @stage("writing")
@@ -104,18 +104,6 @@ def sweep_report(work: Sweep, answer: "xarray.Dataset", summary: Json, name: str
     told: Json = summary | {"no_figure": no_figure}
     failure = "" if "successful" in summary["results"] else "no solve was successful; see the results"
     return Report(name, summary_in_words(told), told, files, failure)
-
-
-def rehearse(work: Sweep) -> Json:
-    """The number of solves, memory and disk of a sweep, without solving or writing anything."""
-    layout = work.layout
-    return {
-        "solves": layout.size,
-        "axes": {dimension.name: dimension.size for dimension in work.dimensions},
-        "outputs": [name for name in layout.empty.data_vars if name not in VERDICTS],
-        "bytes": layout.size * layout.bytes_each,
-        "memory": {"needed": COPIES * layout.bytes_each * layout.chunk_size, "free": work.free},
-    }
 
 
 # --- words ---------------------------------------------------------------------------------------
@@ -132,10 +120,16 @@ def summary_in_words(summary: Json) -> str:
     return "\n".join(lines)
 
 
-def rehearsal_in_words(expected: Json) -> str:
-    """The answer of `rehearse` for the terminal."""
-    memory, axes = expected["memory"], ", ".join(f"{name} {size:,}" for name, size in expected["axes"].items())
-    lines = [f"{expected['solves']:,} solves: {axes}"]
-    disk, needed, free = map(filesize.decimal, (expected["bytes"], memory["needed"], int(memory["free"])))
-    lines.append(f"answer: {', '.join(expected['outputs'])}; {disk} on disk at most")
-    return "\n".join([*lines, f"memory: {needed} needed, {free} free"])
+def rehearse(work: Sweep) -> Report:
+    """The number of solves, memory and disk of a sweep, without solving or writing anything."""
+    layout, outputs = work.layout, [name for name in work.layout.empty.data_vars if name not in VERDICTS]
+    axes = {dimension.name: dimension.size for dimension in work.dimensions}
+    disk, memory = layout.size * layout.bytes_each, COPIES * layout.bytes_each * layout.chunk_size
+    expected = {"solves": layout.size, "axes": axes, "outputs": outputs, "bytes": disk}
+    expected |= {"memory": {"needed": memory, "free": work.free}}
+    lines = [
+        f"{layout.size:,} solves: {', '.join(f'{name} {size:,}' for name, size in axes.items())}",
+        f"answer: {', '.join(outputs)}; {filesize.decimal(disk)} on disk at most",
+        f"memory: {filesize.decimal(memory)} needed, {filesize.decimal(int(work.free))} free",
+    ]
+    return Report("rehearsal", "\n".join(lines), expected, dict)

@@ -1,4 +1,4 @@
-"""Sweeps as tables, written complete or not at all."""
+"""Sweeps as CSV files, written complete or not at all."""
 
 from collections.abc import Hashable
 from pathlib import Path
