@@ -51,7 +51,7 @@ def _tensions(text: str) -> One:
 
 
 def read_leave_out(texts: Sequence[str] | None) -> str | dict[str, str]:
-    """ "8, 14, 20-23" or "contradicted"; of several files "run_2.csv=8, 14"."""
+    """ "8, 14, 20-23"; of several files "run_2.csv=8, 14"."""
     if any("=" in text for text in texts or ()):
         return read_all(texts, "--leave-out", LEAVE_OUT, lambda _, rows: rows)
     return ", ".join(texts or ())

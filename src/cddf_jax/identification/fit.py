@@ -1,6 +1,6 @@
 """`fit`: friction, modulus and the errors of the bench from measurements; and what the data do not determine."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, Literal
@@ -17,7 +17,7 @@ from ..estimation.parameter_space import Bounds, Priors
 from ..estimation.whole_search import INTERRUPTED
 from ..measurements.forces import ON_TIP
 from ..measurements.jitter import Steady
-from ..measurements.left_out import CONTRADICTED, LeaveOut, LeftOut, named_rows, rows_in_words, without
+from ..measurements.left_out import LeaveOut, rows_in_words, without
 from ..measurements.loop_sense import runs_backwards
 from ..measurements.markers import marker_column
 from ..measurements.table import Measurements
@@ -73,7 +73,6 @@ from .verdict import (
 )
 
 POSITIVE = (0.0, None)
-ROUNDS = 5  # of fits, each without the rows that the fits before contradict
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,14 +191,6 @@ class Fit(LeastSquaresFit):
         known = {name: place for own in self.tables for name, place in own.markers.items()}
         return replace(self.setting, markers={**known, **self.setting.markers})
 
-    @property
-    def contradicted(self) -> LeftOut:
-        """By file, the rows that made the fit fail, because tendons travel against the direction found for them."""
-        if not self.result.startswith(AGAINST):
-            return {}
-        ends = self.solve_results
-        return named_rows([end.table for end in ends], [end.contradicted for end in ends])
-
     def place(self, group: str, k: int) -> str:
         """The place of reading `k` of a group, in words: its row in the file, or its number where there is no file."""
         one = next(one for one in self.groups if one.label == group)
@@ -295,7 +286,6 @@ def fit(
             more; the report states the error that they leave.
         leave_out: rows whose readings do not count, by their numbers in the file: [8, 14] or "8, 14, 20-23", and of
             several files by name, {"run_2.csv": [8, 14]}. With a history such a row stays as a step of the path.
-            "contradicted": fit, leave out the rows that the fit contradicts, and fit again, until there is none.
         per_trial: let friction differ from trial to trial: ln(mu) has a normal distribution whose spread is estimated.
         starts, seed: as in `least_squares_fit`.
         nodes: as in `solve`.
@@ -318,10 +308,6 @@ def fit(
         **{"history": history, "before": before, "short_steps": short_steps, "per_trial": per_trial},
         **{"starts": starts, "seed": seed},
     }
-    if isinstance(leave_out, str) and leave_out.strip() == CONTRADICTED:
-        unordered = history is None and not any(table.ordered for table in tables)
-        given["history"] = False if unordered else history  # the rows are to be left out, and not followed
-        return _without_contradicted(partial(fit, manipulator, tables, free, **given))
     whole = tables
     with within("fit"):
         tables, left_out = without(tables, leave_out)
@@ -369,7 +355,7 @@ def fit(
     if not per_trial:
         statistics = search(start, priors=priors, scales=scales, starts=starts)
         found = _conclude(statistics, tables, model, setting, without_jitter, float("nan"), options)
-        if history is None and found.contradicted:
+        if history is None and found.result.startswith(AGAINST):
             given["history"] = EACH
             return fit(manipulator, data, free, leave_out=leave_out, **given)
         return found
@@ -384,17 +370,6 @@ def _with_bounds(own: Bounds, given: Bounds) -> Bounds:
     """The bounds of parameters by nature, and given ones; where no lower one is given, that by nature stays."""
     stated = {name: (own.get(name, (None,))[0] if low is None else low, high) for name, (low, high) in given.items()}
     return {**own, **stated}
-
-
-def _without_contradicted(once: Callable[..., Fit]) -> Fit:
-    """Fit, leave out the rows that the fit contradicts, and fit again, until it contradicts none."""
-    found, left = once(leave_out={}), LeftOut()
-    for _ in range(ROUNDS):
-        if not (more := found.contradicted):
-            break
-        left = {file: left.get(file, []) + more.get(file, []) for file in {**left, **more}}
-        found = once(leave_out=left)
-    return found
 
 
 def _conclude(

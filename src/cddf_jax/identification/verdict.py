@@ -12,7 +12,7 @@ from ..estimation.remarks import EXACT, chance_of_more
 from ..measurements.columns import is_reading
 from ..measurements.holds import correlation_of_rows, holds_of
 from ..measurements.jitter import Steady
-from ..measurements.left_out import CONTRADICTED, named_rows, rows_in_words
+from ..measurements.left_out import named_rows, rows_in_words
 from ..measurements.readings import kind_of_set, of_shape, set_by, tendon_number
 from ..measurements.table import Measurements
 from ..measurements.table_warnings import warnings_of
@@ -85,8 +85,7 @@ def doubt(ends: Sequence[SolveResults]) -> str:
         f"{AGAINST} in {found} of {count} rows: "
         f"{rows_in_words(rows)}; parts of them stick there. Follow the rows with history, "
         "in the order in which they were pulled or each from rest (--each-from-rest). Or leave them out "
-        f"(leave_out, --leave-out; {CONTRADICTED!r} repeats the fit until no row is contradicted). "
-        "Or state the directions in columns direction and direction_2"
+        "(leave_out, --leave-out). Or state the directions in columns direction and direction_2"
     )
 
 
