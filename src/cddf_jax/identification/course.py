@@ -155,8 +155,8 @@ class Course(eqx.Module):
     def pulled(self) -> np.ndarray:
         """(rows,), whether the tension of tendon 1 rose towards the row."""
         readings = np.asarray(self.readings)[..., 0]
-        stated = np.zeros(len(readings)) if self.past is None else np.asarray(self.past.stated)[:, 0]
-        released = [bool(names[0]) for names in self.past.parameters] if self.past is not None else False
+        stated = np.zeros(len(readings)) if self.past is None else np.asarray(self.past.stated)
+        released = [bool(name) for name in self.past.parameters] if self.past is not None else False
         first = (readings[:, 0] >= stated) & ~np.array(released)
         return np.column_stack([first, np.diff(readings, axis=1) > 0])[self.trial, self.step]
 
@@ -323,7 +323,7 @@ def course_of(
 
     Raises:
         InputError: for a column `direction` of a single tendon that contradicts the order of the rows, a largest
-            tension before a trial that is below that of its first row, or a past of another number of tendons.
+            tension before a trial that is below that of its first row, or a past of several tendons.
     """
     force, tendons = forces_of(table.columns, len(table))[1], len(set_by(table.columns))
     rows_of_paths = table.trials if paths is None else paths
@@ -347,7 +347,8 @@ def course_of(
     short = None if alone and not stepped else short_steps
     readings, acting, flags = (_stacked([own[rows] for rows in kept], short) for own in (given, force, table.by_length))
     first = np.array([rows[0] for rows in kept])
-    past = past and past.followed_by(readings[:, 0], [f"{table.name}: {table.place(int(row))}" for row in first])
+    if past is not None:
+        past.check(readings[:, 0, 0], [f"{table.name}: {table.place(int(row))}" for row in first])
     stays = ()
     if np.any(acting):  # that of a single row grows with the pull
         stays = tuple(((readings.shape[1] > 1) & np.all(acting == acting[:, :1], axis=(0, 1, 3))).tolist())
@@ -370,19 +371,13 @@ def course_of(
 
 
 def _checked(table: Measurements, past: Past | None) -> Past | None:
-    """The past of a table, None for rest; it must fit what sets the tendons."""
+    """The past of a table, None for rest."""
     if past is None or past.at_rest:
         return None
-    if is_driven_by_length(table):
+    if is_driven_by_length(table) or len(set_by(table.columns)) > 1:
         raise InputError(
-            f"{table.name}: before holds tensions, but displacements set the tendons; begin each trial with a row of "
-            "the displacements before it, whose readings may be empty"
-        )
-    tendons = len(set_by(table.columns))
-    if np.shape(past.stated)[1] != tendons:
-        raise InputError(
-            f"{table.name}: before holds tensions of {np.shape(past.stated)[1]} tendons, but there are "
-            f"{tendons} columns of base tensions; give one tension for each column"
+            f"{table.name}: before is the base tension of an only tendon; begin each trial with a row of the "
+            "displacements or tensions before it, whose readings may be empty"
         )
     return past
 
@@ -437,10 +432,10 @@ def _check_directions(table: Measurements, rows: np.ndarray, steady: Steady, pas
     (column,) = set_by(table.columns)
     dimension, by_length = dimension_of(column), is_driven_by_length(table)
     tension = steady.tension[rows]
-    before = np.append(0.0 if past is None else np.nan_to_num(past.stated[trial, 0]), tension[:-1])
+    before = np.append(0.0 if past is None else past.stated[trial], tension[:-1])
     moved = tension - before
     sure = np.abs(moved) > max(steady.least_turn, NO_STEP * np.max(tension))
-    sure[0] &= past is None or not any(past.parameters[trial])  # a fitted tension decides the way to the first row
+    sure[0] &= past is None or not past.parameters[trial]  # a fitted tension decides the way to the first row
     sure[0] &= not by_length  # where a tendon begins to pull is not known
     wrong = np.flatnonzero(sure & (moved * table["direction"][rows] < 0))
     if wrong.size:

@@ -263,8 +263,7 @@ def fit(
             displacement what stands between motor and body (`slack_offset`, `outside_compliance`, `backlash`, `lag`,
             and `tendon_stretch`, 1 / (E A) of the tendon;
             `slack_offset_trial_2` in trial 2 alone, of all tendons, `slack_offset_1_trial_2` of tendon 1),
-            or `before` (`before_2` for trial 2), the largest base tension before the first row, N; of several tendons
-            that of tendon 1 before it, and `before_tendon_2` (`before_tendon_2_3` for trial 3).
+            or of one tendon `before` (`before_2` for trial 2), the largest base tension before the first row, N.
         priors: by parameter, mean and standard deviation of a Gaussian, SI units.
         bounds: by parameter, (lower, upper), SI units; default (0, None) for what is positive.
         noise: by column, known standard deviation, SI units, a number or one for each reading, or
@@ -276,12 +275,10 @@ def fit(
             in that of the file. "each": every row was pulled from rest, its tensions and forces in proportion; loads
             of `setting`, such as gravity, act before.
             None: yes if the table has one of these columns; else no, and "each" if that contradicts rows.
-        before: with a history, the tensions before the first row: "rest", or the largest base tension, N, from which
-            the tendon was released to the first row, as the base cell reads it. One for all trials, or a list with one
-            for each, in the order of the tables and of their trials. For a free parameter `before` it is the start of
-            the search. With several tendons an entry holds the tensions of all, [(60, 20)]; they rose linearly from
-            rest, and then went to those of the first row. A tendon for which nothing is given had the tension of the
-            first row.
+        before: with a history of one tendon, the tension before the first row: "rest", or the largest base tension, N,
+            from which it was released to the first row, as the base cell reads it. One for all trials, or a list with
+            one for each, in the order of the tables and of their trials. For a free parameter `before` it is the start
+            of the search. A trial of several tendons begins with a row of the tensions before it.
         short_steps: into how many increments each step of a history is divided with several tendons or loads, 2 or
             more; the report states the error that they leave.
         leave_out: rows whose readings do not count, by their numbers in the file: [8, 14] or "8, 14, 20-23", and of

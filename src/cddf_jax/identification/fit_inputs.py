@@ -34,7 +34,7 @@ def courses_of(
     """The course of each table, None without a history; guesses of pasts."""
     paths = [paths_of(table, history) for table in tables]
     counts = [len(own or ()) for own in paths]
-    pasts = pasts_of(counts, before, free, manipulator.num_tendons)
+    pasts = pasts_of(counts, before, free)
     names = *free, *setting.given
     along = along_a_path(manipulator, names)
     for table, rows in zip(tables, paths, strict=True):
@@ -64,7 +64,7 @@ def courses_of(
         for table, rows, own, end in zip(tables, paths, pasts, ends.tolist()[:-1], strict=True)
     ]
     known = [(own, course[0]) for own, course in zip(pasts, courses, strict=True) if course]
-    first = [(own, np.asarray(course.readings)[:, 0]) for own, course in known]
+    first = [(own, np.asarray(course.readings)[:, 0, 0]) for own, course in known]
     return courses, first_guesses(first)
 
 
