@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import ArrayLike
 
 from ..errors import InputError
 from ..estimation.determination import Determination, determine
@@ -17,14 +16,13 @@ from ..estimation.evidence import Evidence
 from ..estimation.observations import Noise
 from ..estimation.parameter_space import Priors, parameter_space, priors_of
 from ..estimation.residuals import Shared
-from ..measurements.readings import SET, of_tendons
-from ..measurements.table import Measurements
+from ..measurements.readings import of_tendons
 from ..numerics.given_numbers import check_numbers
 from ..progress import each
 from ..robot.manipulator import Manipulator
 from ..statics.status import NOTEWORTHY, words_of
 from .fit import Fit
-from .fit_inputs import unread_rows
+from .fit_inputs import Conditions, unread_rows, unread_table
 from .parameters import (
     PLAIN,
     BenchSetting,
@@ -50,7 +48,7 @@ class Candidate:
     """
 
     name: str
-    conditions: Mapping[str, ArrayLike | Sequence[ArrayLike]]
+    conditions: Conditions
     noise: Mapping[str, float | Noise]
 
     def __post_init__(self):
@@ -214,7 +212,9 @@ def _rows(
     nodes: int,
 ) -> Rows:
     """The scaled Jacobian of the readings of a candidate, and warnings of rows without a solution, which count as 0."""
-    experiment = unread_rows(_table(candidate, body.num_tendons), body, setting, [*parameters])
+    name, read = f"candidate {candidate.name!r}", [*candidate.noise]
+    table = unread_table(name, candidate.conditions, body.num_tendons, read)
+    experiment = unread_rows(table, body, setting, [*parameters])
     shown = experiment.evaluate(body, parameters, nodes)
     values, slopes, count = shown.readings, shown.derivatives, len(shown.status)
     ended = [(int(np.sum(np.asarray(shown.status) == status)), status) for status in NOTEWORTHY]
@@ -224,24 +224,6 @@ def _rows(
         scaled = [slopes[column] * size / s for column, s in zip(experiment.columns, deviations, strict=True)]
     rows = np.concatenate(scaled)
     return np.where(np.isfinite(rows), rows, 0.0), tuple(warnings)
-
-
-def _table(candidate: Candidate, num_tendons: int) -> Measurements:
-    """The candidate as a table whose readings are not known yet."""
-    conditions = {name: np.atleast_1d(np.asarray(value, float)) for name, value in candidate.conditions.items()}
-    count = max(values.size for values in conditions.values()) if conditions else 0
-    for column, length in zip(*(of_tendons(name, num_tendons) for name in SET), strict=True):
-        if column != "base_tension" and length not in conditions:
-            conditions.setdefault(column, np.zeros(1))
-    if "weight" in conditions:
-        conditions = {name: value for name, value in conditions.items() if not name.startswith("base_tension")}
-    name = f"candidate {candidate.name!r}"
-    lengths = {column: values.size for column, values in conditions.items() if values.size not in (1, count)}
-    if lengths:
-        raise InputError(f"{name}: {', '.join(lengths)} must hold 1 or {count} numbers; give lists of one length")
-    columns = {column: np.broadcast_to(values, (count,)) for column, values in conditions.items()}
-    columns |= {column: np.zeros(count) for column in candidate.noise}
-    return Measurements.from_columns(name, **columns)
 
 
 def standard_candidates(

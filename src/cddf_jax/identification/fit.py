@@ -15,7 +15,6 @@ from ..estimation.least_squares import LeastSquaresFit, least_squares_fit
 from ..estimation.observations import Noise
 from ..estimation.parameter_space import Bounds, Priors
 from ..estimation.whole_search import INTERRUPTED
-from ..measurements.forces import ON_TIP
 from ..measurements.jitter import Steady
 from ..measurements.left_out import LeaveOut, rows_in_words, without
 from ..measurements.loop_sense import runs_backwards
@@ -28,7 +27,7 @@ from ..statics.arguments import refuse_batch
 from . import bench
 from .camera import camera_start, check_reach, unexplained_pose
 from .course import CLOSE, EACH, SHORT_STEPS
-from .fit_inputs import courses_of, noise_of, split_noise, trials_of, unread_rows
+from .fit_inputs import Conditions, courses_of, noise_of, split_noise, trials_of, unread_rows
 from .parameters import (
     PLAIN,
     TRIALS,
@@ -142,28 +141,17 @@ class Fit(LeastSquaresFit):
     def __str__(self) -> str:
         return "\n".join(self.verdict)
 
-    def predict(
-        self,
-        column: str,
-        base_tension: Numbers | None = None,
-        tip_force: Numbers = (0.0, 0.0),
-        *,
-        force_at: Mapping[float, Numbers] | None = None,
-        displacement: Numbers | None = None,
-        time: ArrayLike | None = None,
-        history: bool = False,
-    ) -> Prediction:
+    def predict(self, column: str, conditions: Numbers | Conditions, *, history: bool = False) -> Prediction:
         """Predict a reading, with its 95 % band.
 
         Args:
             column: "tip_tension", "tip_tension_2", "tip_angle", "tip_x", "tip_y", "tip_axis_x", ..., of a body in space
                 "tip_z" as well, or the column of a marker, "x@120mm".
-            base_tension: N, (rows,) where every tendon has the same tension, or (rows, tendons).
-            tip_force: N, (2,) or (rows, 2), of a body in space (3,) or (rows, 3).
-            force_at: forces at other places, N, in the same shapes, by their arc lengths, m: {0.060: (0.0, -1.0)}.
-            displacement: m, as the encoders read, in place of base tensions and in the same shapes. The slack offsets
-                are those of all trials, not those of one trial alone.
-            time: s, (rows,), of a path by displacement; needed where the fit knows a lag.
+            conditions: base tensions, N, (rows,) where every tendon has the same tension, or (rows, tendons). Or by
+                column what is set, as in a table, SI: {"base_tension": 50.0, "force_y@60mm": -1.0}, or
+                {"displacement": [0.004, 0.011]} as the encoders read, with "time" where the fit knows a lag; numbers,
+                or lists of one length. A further tendon that is not named has no tension. The slack offsets are those
+                of all trials, not those of one trial alone.
             history: whether the rows are a path from rest, pulled and released in this order; every turn counts. Else
                 each row is an equilibrium of its own, with the directions that `solve` finds. By displacement, and
                 where friction acts along a history only, it is pulled from rest, and its forces grow with it.
@@ -171,11 +159,7 @@ class Fit(LeastSquaresFit):
         Raises:
             InputError: for another column, conditions of other shapes, or a path that `fit` could not follow.
         """
-        more = {column if marker_column(column) else "tip_angle": 0.0}  # something that is read
-        more |= {} if time is None else {"time": time}
-        pulls = {"base_tension": base_tension, "displacement": displacement}
-        forces = {ON_TIP: tip_force} | {f"{float(place)!r}m": force for place, force in (force_at or {}).items()}
-        table = rows_to_predict(pulls, forces, self.manipulator.num_tendons, more)
+        table = rows_to_predict(conditions, self.manipulator.num_tendons, column)
         given = self.manipulator, self.whole_setting, self.names, history, self.options["short_steps"]
         wanted = unread_rows(table, *given)
         assert isinstance(wanted, bench.Bench)

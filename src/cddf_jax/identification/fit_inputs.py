@@ -9,7 +9,7 @@ from ..errors import InputError
 from ..estimation.observations import Noise
 from ..measurements.columns import is_reading
 from ..measurements.jitter import Steady
-from ..measurements.readings import SET, kind_of_set
+from ..measurements.readings import SET, kind_of_set, of_tendons
 from ..measurements.table import Measurements
 from ..numerics.given_numbers import check_numbers
 from ..quantities import dimension_of
@@ -19,6 +19,8 @@ from .bench import Bench, Group, Pulley, experiment_of
 from .course import EACH, SHORT_STEPS, Course, course_of, how_followed, paths_of
 from .parameters import MOTORS, BenchSetting, along_a_path, trial_of
 from .tension_before import Before, first_guesses, pasts_of
+
+Conditions = Mapping[str, ArrayLike | Sequence[ArrayLike]]
 
 
 def courses_of(
@@ -66,6 +68,31 @@ def courses_of(
     known = [(own, course[0]) for own, course in zip(pasts, courses, strict=True) if course]
     first = [(own, np.asarray(course.readings)[:, 0, 0]) for own, course in known]
     return courses, first_guesses(first)
+
+
+def unread_table(name: str, conditions: Conditions, num_tendons: int, read: Sequence[str]) -> Measurements:
+    """A table whose readings are not known yet.
+
+    Args:
+        name: of the table.
+        conditions: what is set, by column, SI: numbers, or lists of one length. Further tendons have no tension where
+            none is given.
+        num_tendons: of the body.
+        read: the columns that are read.
+
+    Raises:
+        InputError: for lists of several lengths, and as `Measurements.from_columns`.
+    """
+    given = {column: np.atleast_1d(np.asarray(value, float)) for column, value in conditions.items()}
+    count = max((values.size for values in given.values()), default=0)
+    for column, length in zip(*(of_tendons(kind, num_tendons) for kind in SET), strict=True):
+        if column != "base_tension" and length not in given and "weight" not in given:
+            given.setdefault(column, np.zeros(1))
+    lengths = {column: values.size for column, values in given.items() if values.size not in (1, count)}
+    if lengths:
+        raise InputError(f"{name}: {', '.join(lengths)} must hold 1 or {count} numbers; give lists of one length")
+    columns = {column: np.broadcast_to(values, (count,)) for column, values in given.items()}
+    return Measurements.from_columns(name, **columns, **{column: np.zeros(count) for column in read})
 
 
 def unread_rows(
