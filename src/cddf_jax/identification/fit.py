@@ -9,18 +9,16 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from ..errors import InputError, within
-from ..estimation.determination import FIXED, NOT_IDENTIFIED, Determination, Estimate, determine, estimate
+from ..estimation.determination import FIXED, Determination, Estimate, determine, estimate
 from ..estimation.evidence import Evidence
 from ..estimation.least_squares import LeastSquaresFit, least_squares_fit
 from ..estimation.observations import Noise
 from ..estimation.parameter_space import Bounds, Priors
-from ..estimation.whole_search import INTERRUPTED
 from ..measurements.jitter import Steady
-from ..measurements.left_out import LeaveOut, rows_in_words, without
+from ..measurements.left_out import LeaveOut, without
 from ..measurements.loop_sense import runs_backwards
 from ..measurements.markers import marker_column
 from ..measurements.table import Measurements
-from ..measurements.trials import repeated_tables
 from ..numerics.given_numbers import check_whole
 from ..robot.manipulator import Manipulator
 from ..statics.arguments import refuse_batch
@@ -53,22 +51,13 @@ from .tension_before import Before
 from .verdict import (
     AGAINST,
     SolveResults,
-    advice_on,
     doubt,
-    drift_of,
-    estimates_in_words,
-    held_in_words,
     neighbours,
-    neighbours_in_words,
-    so_far_in_words,
+    remarks_on_rows,
     solve_results,
     variance_of_neighbours,
-    warnings_of_inputs,
-    warnings_of_kinematics,
-    warnings_of_numbers,
-    warnings_of_rows,
-    warnings_of_solves,
-    warnings_of_trials,
+    verdict_of,
+    warnings_of_fit,
 )
 
 POSITIVE = (0.0, None)
@@ -93,33 +82,12 @@ class Fit(LeastSquaresFit):
     @property
     def verdict(self) -> tuple[str, ...]:
         """In words: what the data determine, what they do not determine, and what measurement would help."""
-        lines = [] if self.success else [f"The fit failed: {self.result}. No parameter is identified."]
-        left_out = self.options["leave_out"]
-        lines += [f"Left out: {rows_in_words(left_out)}."] if left_out else []
-        interrupted = self.result == INTERRUPTED
-        lines += so_far_in_words(self) if interrupted else estimates_in_words(self, self.bounded_above)
-        if TRIALS in self.parameters:
-            lines.append(
-                f"friction differs from trial to trial by {100 * self.trial_spread:.2g} % (standard deviation)"
-            )
-        lost = {name for name, status in self.status.items() if status == NOT_IDENTIFIED} - {*self.bounded_above}
-        return *lines, *([advice_on(self, self.tables, lost)] if lost and self.success else [])
+        return tuple(verdict_of(self))
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
         """Warnings about tables, statistics and solver, in words."""
-        tables = self.tables
-        return (
-            *warnings_of_rows(tables, self.model, self.without_jitter),
-            *warnings_of_inputs(self, tables, self.model, self.options["noise"]),
-            *warnings_of_numbers(self, self.moved_by_steps),
-            *(rival.in_words for rival in self.rivals if rival.in_words),
-            *repeated_tables(tables),
-            *warnings_of_kinematics(tables, self.manipulator),
-            *(remark for remark in self.remarks if not remark.startswith(TRIALS)),
-            *warnings_of_trials(self, self.groups),
-            *warnings_of_solves(self.solve_results),
-        )
+        return tuple(warnings_of_fit(self))
 
     @cached_property
     def alone(self) -> dict[str, Determination]:
@@ -184,10 +152,7 @@ class Fit(LeastSquaresFit):
     @property
     def remarks(self) -> tuple[str, ...]:
         """The remarks of any fit; samples of a hold that are not independent; readings with a history that drift."""
-        alike = (held_in_words(self.standardised_residuals, group) for group in self.groups)
-        drifts = (drift_of(self, group) for group in self.groups if self.success)
-        wider = neighbours_in_words(self.neighbours) if self.success and self.neighbours else ""
-        return (*super().remarks, *filter(None, (*alike, *drifts, wider)))
+        return (*super().remarks, *filter(None, remarks_on_rows(self)))
 
     def band(self, sensitivity: np.ndarray) -> np.ndarray:
         """As of any fit, wider where neighbouring rows are alike."""
@@ -196,12 +161,12 @@ class Fit(LeastSquaresFit):
     @cached_property
     def moved_by_steps(self) -> dict[str, float]:
         """By parameter, its error by the increments of a history, over its standard error; {} without increments."""
-        return moved_by_finer_steps(self, self.model, self.groups) if self.success else {}
+        return moved_by_finer_steps(self) if self.success else {}
 
     @cached_property
     def rivals(self) -> list[Rival]:
         """What else may have made the loops of a bench driven by displacement, beside friction on the body."""
-        return rivals_of(self, self.tables, self.model, self.options)
+        return rivals_of(self)
 
 
 def fit(
