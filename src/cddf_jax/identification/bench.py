@@ -335,11 +335,10 @@ def _with_slack_ones(shown: Shown, tendons: Int[np.ndarray | Array, " set"], cou
     def spread(values: Array, otherwise: float | bool) -> Array:
         return jnp.full_like(values, otherwise, shape=(*values.shape[:-1], count)).at[..., tendons].set(values)
 
-    against = shown.direction_contradicted
     return shown._replace(
         tendon_displacement=spread(shown.tendon_displacement, jnp.nan),
         tip_tension=spread(shown.tip_tension, 0.0),
-        direction_contradicted=None if against is None else spread(against, False),
+        direction_contradicted=spread(shown.direction_contradicted, False),
     )
 
 

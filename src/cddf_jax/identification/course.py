@@ -54,7 +54,7 @@ class Shown(NamedTuple):
     tip_position: Float[Array, "rows components"]
     tip_axis: Float[Array, "rows components"]
     status: Int[Array, " rows"]
-    direction_contradicted: Bool[Array, "rows tendons"] | None  # None along a path, which contradicts nothing
+    direction_contradicted: Bool[Array, "rows tendons"]  # along a path nothing is
     markers: Float[Array, "rows markers components"] | None = None
 
 
@@ -199,7 +199,7 @@ class Course(eqx.Module):
                 found = self._in_increments(here, tension, by_tension, forces, loads_with, nodes)
             pulled, tips = (x.reshape(tension.shape) for x in (found.tendon_displacement, found.tip_tension))
             tip = found.tip_angle, found.tip_position, found.tip_axis
-            return Shown(pulled, tips, *tip, found.status, None, markers_on(found))
+            return Shown(pulled, tips, *tip, found.status, jnp.zeros(tips.shape, bool), markers_on(found))
 
         forces = None if self.forces is None else jnp.asarray(self.forces)
         by_tension = None if self.by_tension is None else jnp.asarray(self.by_tension)
@@ -211,8 +211,7 @@ class Course(eqx.Module):
         else:  # increments that need not be cut cost nothing one by one; in a batch they would
             every = jax.lax.map(lambda each: one(*each), trials)
         step = self.step + (self.past is not None)
-        found = jax.tree.map(lambda x: x[self.trial, step], every)
-        return found._replace(direction_contradicted=jnp.zeros(found.tip_tension.shape, bool))
+        return jax.tree.map(lambda x: x[self.trial, step], every)
 
     def _driven(self, path: Array) -> list[Array | Displacement]:
         """The path of each tendon as `trace` takes it."""

@@ -13,7 +13,6 @@ import numpy as np
 from ..errors import InputError
 from ..estimation.determination import Determination, determine
 from ..estimation.evidence import Evidence
-from ..estimation.observations import Noise
 from ..estimation.parameter_space import Priors, parameter_space, priors_of
 from ..estimation.residuals import Shared
 from ..measurements.readings import of_tendons
@@ -44,26 +43,18 @@ class Candidate:
         conditions: columns that are set in an experiment on a manipulator or in a pulley test, SI; numbers, or lists
             of one length: base tensions, displacements, and known forces as in tables (`tip_force_y`, `force_y@60mm`).
             With a column `step` they are set in this order, from rest.
-        noise: standard deviation of each column that is read, SI, or `Noise(floor, fraction)` of the reading.
+        noise: standard deviation of each column that is read, SI.
     """
 
     name: str
     conditions: Conditions
-    noise: Mapping[str, float | Noise]
+    noise: Mapping[str, float]
 
     def __post_init__(self):
         for column, numbers in (*self.conditions.items(), *self.noise.items()):
             check_numbers(f"candidate {self.name!r}: {column}", numbers)
-        known = all(not isinstance(noise, Noise) or None not in noise for noise in self.noise.values())
-        if not self.noise or not known or not all(_deviation(noise, 1.0) > 0 for noise in self.noise.values()):
+        if not self.noise or not all(noise > 0 for noise in self.noise.values()):
             raise InputError(f"candidate {self.name!r}: noise must name what is read, with standard deviations > 0")
-
-
-def _deviation(noise: float | Noise, reading: np.ndarray | float) -> np.ndarray:
-    """The standard deviation of each reading."""
-    if isinstance(noise, Noise):
-        return np.hypot(noise.floor or 0.0, (noise.fraction or 0.0) * reading)
-    return np.full(np.shape(reading), noise)
 
 
 Rows = tuple[np.ndarray, tuple[str, ...]]  # rows of the scaled Jacobian, and warnings
@@ -216,13 +207,10 @@ def _rows(
     table = unread_table(name, candidate.conditions, body.num_tendons, read)
     experiment = unread_rows(table, body, setting, [*parameters])
     shown = experiment.evaluate(body, parameters, nodes)
-    values, slopes, count = shown.readings, shown.derivatives, len(shown.status)
+    count = len(shown.status)
     ended = [(int(np.sum(np.asarray(shown.status) == status)), status) for status in NOTEWORTHY]
     warnings = [f"{some} of {count} rows: {words_of(status)}" for some, status in ended if some]
-    deviations = [_deviation(candidate.noise[column], values[column])[:, None] for column in experiment.columns]
-    with np.errstate(divide="ignore", invalid="ignore"):  # a reading of 0 whose noise has no floor counts as nothing
-        scaled = [slopes[column] * size / s for column, s in zip(experiment.columns, deviations, strict=True)]
-    rows = np.concatenate(scaled)
+    rows = np.concatenate([shown.derivatives[name] * size / candidate.noise[name] for name in experiment.columns])
     return np.where(np.isfinite(rows), rows, 0.0), tuple(warnings)
 
 

@@ -76,7 +76,6 @@ class Fit(LeastSquaresFit):
     widened: Evidence  # with more noise where neighbours are alike; of it are statuses, standard errors and intervals
     solve_results: tuple[SolveResults, ...]  # how the solves of each table of the manipulator ended
     without_jitter: dict[str, Steady]  # by table and column that was set, of tables with a history
-    setting: BenchSetting  # what all rows share
     options: dict[str, Any]  # the arguments of `fit` besides body and data, and the names of the free parameters
 
     @property
@@ -141,7 +140,8 @@ class Fit(LeastSquaresFit):
     def whole_setting(self) -> BenchSetting:
         """What all rows share, with the markers of the tables."""
         known = {name: place for own in self.tables for name, place in own.markers.items()}
-        return replace(self.setting, markers={**known, **self.setting.markers})
+        setting = self.options["setting"]
+        return replace(setting, markers={**known, **setting.markers})
 
     def place(self, group: str, k: int) -> str:
         """The place of reading `k` of a group, in words: its row in the file, or its number where there is no file."""
@@ -266,7 +266,7 @@ def fit(
     if not tables or not free:
         raise InputError("fit: needs a table of measurements and a free parameter")
     check_tendons([*free, *setting.given], manipulator.num_tendons)
-    options = given | {"free": list(free), "setting": setting, "leave_out": left_out}
+    options = given | {"free": list(free), "leave_out": left_out}
     kinds = {name: parameter_named(name) for name in free}
     earlier = np.cumsum([0, *(len(trials_of(table)) for table in tables)])
     with within("fit"):
@@ -300,7 +300,7 @@ def fit(
     search = partial(search, seed=seed, prefer_start=True, accuracy=CLOSE if in_increments else 0.0)
     if not per_trial:
         statistics = search(start, priors=priors, scales=scales, starts=starts)
-        found = _conclude(statistics, tables, model, setting, without_jitter, float("nan"), options)
+        found = _conclude(statistics, tables, model, without_jitter, float("nan"), options)
         if history is None and found.result.startswith(AGAINST):
             given["history"] = EACH
             return fit(manipulator, data, free, leave_out=leave_out, **given)
@@ -309,7 +309,7 @@ def fit(
         remedy = "needs a free friction_coefficient and tables whose column trial names 2 or more"
         raise InputError(f"fit: per_trial {remedy}")
     statistics, spread = fit_trials(search, int(earlier[-1]), start, priors or {}, scales, starts)
-    return _conclude(statistics, tables, model, setting, without_jitter, spread, options)
+    return _conclude(statistics, tables, model, without_jitter, spread, options)
 
 
 def _with_bounds(own: Bounds, given: Bounds) -> Bounds:
@@ -322,10 +322,9 @@ def _conclude(
     statistics: LeastSquaresFit,
     tables: tuple[Measurements, ...],
     model: bench.BenchModel,
-    setting: BenchSetting,
     without_jitter: dict[str, Steady],
     trial_spread: float,
-    options: dict[str, object],
+    options: dict[str, Any],
 ) -> Fit:
     """The result of `fit` from the statistics: the body with the estimates, and how the solves of each table ended."""
     body = model.manipulator
@@ -353,7 +352,7 @@ def _conclude(
     effects = [estimate(statistics.value[n], widened.uncertainty(row[None])) for n, row in rows.items()]
     return Fit(
         **found | {field: {n: found[field][n] for n in own} | more for field, more in of_fixed.items()},
-        manipulator=with_parameters(body, {**setting.given, **statistics.parameters}),
+        manipulator=with_parameters(body, {**options["setting"].given, **statistics.parameters}),
         tables=tables,
         model=model,
         trial_effects=dict(zip(trials, effects, strict=True)) if effects else {},
@@ -362,6 +361,5 @@ def _conclude(
         widened=widened,
         solve_results=ends,
         without_jitter=without_jitter,
-        setting=setting,
         options=options,
     )
