@@ -9,20 +9,22 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from ..errors import InputError, within
-from ..estimation.determination import FIXED, Determination, Estimate, determine, estimate
+from ..estimation.determination import FIXED, NOT_IDENTIFIED, Determination, Estimate, determine, estimate
 from ..estimation.evidence import Evidence
 from ..estimation.least_squares import LeastSquaresFit, least_squares_fit
 from ..estimation.observations import Noise
 from ..estimation.parameter_space import Bounds, Priors
+from ..estimation.whole_search import INTERRUPTED
 from ..measurements.jitter import Steady
-from ..measurements.left_out import LeaveOut, without
+from ..measurements.left_out import LeaveOut, rows_in_words, without
 from ..measurements.loop_sense import runs_backwards
 from ..measurements.markers import marker_column
 from ..measurements.table import Measurements
+from ..measurements.trials import repeated_tables
 from ..numerics.given_numbers import check_whole
 from ..robot.manipulator import Manipulator
 from ..statics.arguments import refuse_batch
-from . import bench
+from . import bench, verdict
 from .camera import camera_start, check_reach, unexplained_pose
 from .course import CLOSE, EACH, SHORT_STEPS
 from .fit_inputs import Conditions, courses_of, noise_of, split_noise, trials_of, unread_rows
@@ -48,17 +50,6 @@ from .predictions import (
 from .random_effects import errors_of_base, fit_trials
 from .rivals import Rival, rivals_of
 from .tension_before import Before
-from .verdict import (
-    AGAINST,
-    SolveResults,
-    doubt,
-    neighbours,
-    remarks_on_rows,
-    solve_results,
-    variance_of_neighbours,
-    verdict_of,
-    warnings_of_fit,
-)
 
 POSITIVE = (0.0, None)
 
@@ -74,19 +65,40 @@ class Fit(LeastSquaresFit):
     trial_spread: float  # standard deviation of ln(mu) over trials; 0 if none was found, NaN without `per_trial`
     neighbours: float  # correlation of residuals of neighbouring rows of histories; 0 if it may be chance
     widened: Evidence  # with more noise where neighbours are alike; of it are statuses, standard errors and intervals
-    solve_results: tuple[SolveResults, ...]  # how the solves of each table of the manipulator ended
+    solve_results: tuple[verdict.SolveResults, ...]  # how the solves of each table of the manipulator ended
     without_jitter: dict[str, Steady]  # by table and column that was set, of tables with a history
     options: dict[str, Any]  # the arguments of `fit` besides body and data, and the names of the free parameters
 
     @property
     def verdict(self) -> tuple[str, ...]:
         """In words: what the data determine, what they do not determine, and what measurement would help."""
-        return tuple(verdict_of(self))
+        lines = [] if self.success else [f"The fit failed: {self.result}. No parameter is identified."]
+        left_out = self.options["leave_out"]
+        lines += [f"Left out: {rows_in_words(left_out)}."] if left_out else []
+        interrupted = self.result == INTERRUPTED
+        lines += verdict.so_far_in_words(self) if interrupted else verdict.estimates_in_words(self, self.bounded_above)
+        if TRIALS in self.parameters:
+            lines.append(
+                f"friction differs from trial to trial by {100 * self.trial_spread:.2g} % (standard deviation)"
+            )
+        lost = {name for name, status in self.status.items() if status == NOT_IDENTIFIED} - {*self.bounded_above}
+        return *lines, *([verdict.advice_on(self, self.tables, lost)] if lost and self.success else [])
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
         """Warnings about tables, statistics and solver, in words."""
-        return tuple(warnings_of_fit(self))
+        tables = self.tables
+        return (
+            *verdict.warnings_of_rows(tables, self.model, self.without_jitter),
+            *verdict.warnings_of_inputs(self, tables, self.model, self.options["noise"]),
+            *verdict.warnings_of_numbers(self, self.moved_by_steps),
+            *(rival.in_words for rival in self.rivals if rival.in_words),
+            *repeated_tables(tables),
+            *verdict.warnings_of_kinematics(tables, self.manipulator),
+            *(remark for remark in self.remarks if not remark.startswith(TRIALS)),
+            *verdict.warnings_of_trials(self, self.groups),
+            *verdict.warnings_of_solves(self.solve_results),
+        )
 
     @cached_property
     def alone(self) -> dict[str, Determination]:
@@ -152,7 +164,10 @@ class Fit(LeastSquaresFit):
     @property
     def remarks(self) -> tuple[str, ...]:
         """The remarks of any fit; samples of a hold that are not independent; readings with a history that drift."""
-        return (*super().remarks, *filter(None, remarks_on_rows(self)))
+        alike = (verdict.held_in_words(self.standardised_residuals, group) for group in self.groups)
+        drifts = (verdict.drift_of(self, group) for group in self.groups if self.success)
+        wider = verdict.neighbours_in_words(self.neighbours) if self.success and self.neighbours else ""
+        return (*super().remarks, *filter(None, (*alike, *drifts, wider)))
 
     def band(self, sensitivity: np.ndarray) -> np.ndarray:
         """As of any fit, wider where neighbouring rows are alike."""
@@ -161,12 +176,12 @@ class Fit(LeastSquaresFit):
     @cached_property
     def moved_by_steps(self) -> dict[str, float]:
         """By parameter, its error by the increments of a history, over its standard error; {} without increments."""
-        return moved_by_finer_steps(self) if self.success else {}
+        return moved_by_finer_steps(self, self.model, self.groups) if self.success else {}
 
     @cached_property
     def rivals(self) -> list[Rival]:
         """What else may have made the loops of a bench driven by displacement, beside friction on the body."""
-        return rivals_of(self)
+        return rivals_of(self, self.tables, self.model, self.options)
 
 
 def fit(
@@ -301,7 +316,7 @@ def fit(
     if not per_trial:
         statistics = search(start, priors=priors, scales=scales, starts=starts)
         found = _conclude(statistics, tables, model, without_jitter, float("nan"), options)
-        if history is None and found.result.startswith(AGAINST):
+        if history is None and found.result.startswith(verdict.AGAINST):
             given["history"] = EACH
             return fit(manipulator, data, free, leave_out=leave_out, **given)
         return found
@@ -328,14 +343,14 @@ def _conclude(
 ) -> Fit:
     """The result of `fit` from the statistics: the body with the estimates, and how the solves of each table ended."""
     body = model.manipulator
-    ends = tuple(solve_results(statistics.parameters, tables, model, statistics.input_noise))
+    ends = tuple(verdict.solve_results(statistics.parameters, tables, model, statistics.input_noise))
     groups = bench.groups_of(tables, model)
     followed = [table for table, one in zip(tables, model.experiments, strict=True) if one.in_order]
-    reasons = unexplained_pose(statistics, groups, body), doubt(ends), *map(runs_backwards, followed)
+    reasons = unexplained_pose(statistics, groups, body), verdict.doubt(ends), *map(runs_backwards, followed)
     if statistics.success and (reason := next(filter(None, reasons), "")):
         statistics = statistics.doubted(reason)
-    correlation, labels = neighbours(statistics.standardised_residuals, groups)
-    widened = statistics.evidence.enlarged(dict.fromkeys(labels, variance_of_neighbours(correlation)))
+    correlation, labels = verdict.neighbours(statistics.standardised_residuals, groups)
+    widened = statistics.evidence.enlarged(dict.fromkeys(labels, verdict.variance_of_neighbours(correlation)))
     statistics = replace(statistics, **vars(determine(widened)))
     both = "friction_coefficient", stiffness_parameter(body)
     fixed = {n: starting_value(body, n) for n in both if n not in statistics.names}

@@ -5,7 +5,7 @@ Also: which predictions lie beyond the data, and how far finer steps along a his
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -19,12 +19,9 @@ from ..measurements.readings import of_tendons
 from ..measurements.table import Measurements
 from ..numerics.arrays import evaluated
 from ..numerics.given_numbers import check_numbers
-from .bench import Bench, BenchModel
+from .bench import Bench, BenchModel, Group
 from .fit_inputs import Conditions, unread_table
 from .parameters import TRIALS
-
-if TYPE_CHECKING:
-    from .fit import Fit
 
 SPANNED = 1e-9  # of the largest tension or force: rows as close to the range of the data count as inside
 
@@ -85,21 +82,21 @@ def beyond_the_data(wanted: Bench, model: BenchModel) -> np.ndarray:
     return np.any(np.isfinite(there) & ~inside, axis=1)
 
 
-def moved_by_finer_steps(fit: "Fit") -> dict[str, float]:
+def moved_by_finer_steps(fit: LeastSquaresFit, model: BenchModel, groups: Sequence[Group]) -> dict[str, float]:
     """By parameter, the error of its estimate by increments and elements, over its standard error.
 
     The prediction is repeated with increments and elements half as long. An error proportional to their length is twice
     the difference, one that falls with the square is less. The linearised fit gives the change of the estimates. Empty
     where every answer is exact; NaN where the finer one has no solution.
     """
-    spectrum, model, parameters = fit.evidence.spectrum, fit.model, jax.tree.map(np.asarray, fit.parameters)
+    spectrum, parameters = fit.evidence.spectrum, jax.tree.map(np.asarray, fit.parameters)
     apart: dict[str, np.ndarray] = {}
     for name, one in zip(model.names, model.experiments, strict=True):
         if not isinstance(one, Bench) or one.course is None or one.course.short_steps is None:
             continue
         finer = replace(one, course=replace(one.course, short_steps=2 * one.course.short_steps), name="")
         read = evaluated(Bench.predict, finer, model.manipulator, parameters, 2 * model.nodes)
-        for group in (group for group in fit.groups if group.name == name):
+        for group in (group for group in groups if group.name == name):
             apart[group.label] = 2 * (read[group.column] - (group.observed - fit.residuals[group.label]))
     rows = np.concatenate([*fit.evidence.rows.values()])
     moved = spectrum.covariance @ (rows.T @ over_noise(fit, apart))

@@ -5,9 +5,9 @@ the linearised fit, from the estimate, tells by how much each of them would impr
 beside it. It takes no other fit, and is as good as the linearisation.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -19,13 +19,10 @@ from ..measurements.readings import SET, kind_of_set
 from ..measurements.table import Measurements
 from ..quantities import dimension_of
 from ..units import shown
-from .bench import benches_of
+from .bench import BenchModel, benches_of, groups_of
 from .course import course_of, is_driven_by_length, paths_of
 from .parameters import MOTORS, TRIALS, along_a_path, parameter_named
 from .predictions import over_noise
-
-if TYPE_CHECKING:
-    from .fit import Fit
 
 RIVALS = ("slack_offset", "lag", "backlash", "friction_moment", "outside_drag", "outside_friction")
 ONE_SIDED = RIVALS[1:]  # the body comes after its motors, and friction takes
@@ -62,9 +59,16 @@ class Rival(NamedTuple):
         return ""
 
 
-def rivals_of(fit: "Fit") -> list[Rival]:
-    """What else may have made the loops of a fit; [] where friction is not identified or no displacement turns."""
-    tables, model, options = fit.tables, fit.model, fit.options
+def rivals_of(
+    fit: LeastSquaresFit, tables: Sequence[Measurements], model: BenchModel, options: Mapping[str, Any]
+) -> list[Rival]:
+    """What else may have made the loops of a fit; [] where friction is not identified or no displacement turns.
+
+    Args:
+        fit: its statistics.
+        tables, model: its data and its bench.
+        options: `noise`, `history` and `short_steps` as they were given to `fit`.
+    """
     driven = [own for own in benches_of(tables, model) if is_driven_by_length(own[1])]
     turns = any(one.course is not None and one.course.turns for _, _, one in driven)
     if not fit.success or fit.status.get(FRICTION) != IDENTIFIED or not turns:
@@ -92,7 +96,7 @@ def rivals_of(fit: "Fit") -> list[Rival]:
     for name in names:
         of_groups = {
             group.label: slopes[group.name][group.column][group.there, places[name]]
-            for group in fit.groups
+            for group in groups_of(tables, model)
             if group.name in slopes
         }
         found.append(_rival(fit, name, over_noise(fit, of_groups)))

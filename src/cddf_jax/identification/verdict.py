@@ -1,22 +1,23 @@
 """The result of a fit in words: what the data determine and what not, why the fit is doubtful, and warnings."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Int
 
 from ..estimation.determination import IDENTIFIED, NOT_IDENTIFIED, Determination
+from ..estimation.least_squares import LeastSquaresFit
 from ..estimation.remarks import EXACT, chance_of_more
-from ..estimation.whole_search import INTERRUPTED
 from ..measurements.columns import is_reading
 from ..measurements.holds import correlation_of_rows, holds_of
+from ..measurements.jitter import Steady
 from ..measurements.left_out import named_rows, rows_in_words
 from ..measurements.readings import kind_of_set, of_shape, set_by, tendon_number
 from ..measurements.table import Measurements
 from ..measurements.table_warnings import warnings_of
-from ..measurements.trials import repeated_tables
 from ..quantities import dimension_of
+from ..robot.manipulator import Manipulator
 from ..statics.status import NOTEWORTHY, Status, words_of
 from ..units import preferred, shown
 from .bench import BenchModel, Group, benches_of
@@ -24,9 +25,6 @@ from .course import is_driven_by_length
 from .parameters import TRIALS, Parameters, parameter_named, unit_of
 from .random_effects import many_levels
 from .tension_before import is_past
-
-if TYPE_CHECKING:
-    from .fit import Fit
 
 LARGEST_FRICTION = 2.0  # a larger coefficient gives a warning
 CHANCE = 1e-3  # p-value below which residuals drift, or differ from trial to trial
@@ -91,26 +89,10 @@ def doubt(ends: Sequence[SolveResults]) -> str:
     )
 
 
-def warnings_of_fit(fit: "Fit") -> Iterator[str]:
-    """Warnings about tables, statistics and solver, in words."""
-    yield from _warnings_of_rows(fit)
-    yield from _warnings_of_inputs(fit)
-    yield from _warnings_of_numbers(fit)
-    yield from (rival.in_words for rival in fit.rivals if rival.in_words)
-    yield from repeated_tables(fit.tables)
-    if fit.manipulator.kinematics == "published" and _hold_shape(fit.tables):
-        yield (
-            "tip angles or positions are fitted in the published kinematics, which bends 5 to 10 % less at 40 % loss; "
-            "use the exact one for a real body"
-        )
-    yield from (remark for remark in fit.remarks if not remark.startswith(TRIALS))
-    yield from _warnings_of_trials(fit)
-    yield from _warnings_of_solves(fit.solve_results)
-
-
-def _warnings_of_rows(fit: "Fit") -> Iterator[str]:
+def warnings_of_rows(
+    tables: Sequence[Measurements], model: BenchModel, without_jitter: Mapping[str, Steady]
+) -> Iterator[str]:
     """Warnings about the tables, and about what was taken for granted or ignored in them."""
-    tables, model = fit.tables, fit.model
     for table, one in zip(tables, model.experiments, strict=True):
         from_rest = one.course is None or one.course.past is None
         yield from (f"{table.name}: {own}" for own in warnings_of(table, in_order=one.in_order, from_rest=from_rest))
@@ -121,7 +103,7 @@ def _warnings_of_rows(fit: "Fit") -> Iterator[str]:
         if slack:
             yield f"{name}: no column for tendon {', '.join(map(str, sorted(slack)))}: taken as slack"
         for column, _, _ in table.set_columns:
-            if (steady := fit.without_jitter.get(f"{name}: {column}")) and steady.num_ignored:
+            if (steady := without_jitter.get(f"{name}: {column}")) and steady.num_ignored:
                 noise, least = (shown(x, dimension_of(kind_of_set(column))) for x in (steady.noise, steady.least_turn))
                 yield (
                     f"{name}: {column} jitters by {noise} (standard deviation), and {steady.num_ignored} of its turns "
@@ -129,24 +111,26 @@ def _warnings_of_rows(fit: "Fit") -> Iterator[str]:
                 )
 
 
-def _warnings_of_inputs(fit: "Fit") -> Iterator[str]:
-    """Noise of what was set that was not given: what was found for it, and where nothing could be."""
+def warnings_of_inputs(
+    fit: LeastSquaresFit, tables: Sequence[Measurements], model: BenchModel, given: Mapping[str, Any]
+) -> Iterator[str]:
+    """Noise of what was set that was not `given`: what was found for it, and where nothing could be."""
     for label in fit.evidence.estimated_inputs:
         noise = shown(fit.input_noise[label], dimension_of(kind_of_set(label.rpartition(": ")[2])))
         yield (
             f"{label} was not given a noise; the readings of a row deviate together, as {noise} of noise in it would "
             "cause (standard deviation), and the intervals contain it; give it if you know it, 0 for none"
         )
-    for name in many_levels(fit.model, fit.tables, fit.options["noise"]):
+    for name in many_levels(model, tables, given):
         yield (
             f"{name}: what was set has too many levels for an estimate of its noise, and the intervals do not contain "
             "it; give the noise of base_tension or displacement, 0 if it is exact, or fit one reading for each hold"
         )
 
 
-def _warnings_of_numbers(fit: "Fit") -> Iterator[str]:
-    """A friction that no real body has, and estimates that the increments of a history have moved too far."""
-    for name, part in fit.moved_by_steps.items():
+def warnings_of_numbers(fit: LeastSquaresFit, moved: Mapping[str, float]) -> Iterator[str]:
+    """A friction that no real body has, and estimates that the increments of a history have `moved` too far."""
+    for name, part in moved.items():
         if not part <= LARGEST_MOVE:
             what = f"the increments of the history move {name} by {part:.2g} of its standard error"
             yield f"{what}; give more short_steps"
@@ -158,9 +142,18 @@ def _warnings_of_numbers(fit: "Fit") -> Iterator[str]:
         )
 
 
-def _warnings_of_trials(fit: "Fit") -> Iterator[str]:
+def warnings_of_kinematics(tables: Sequence[Measurements], manipulator: Manipulator) -> Iterator[str]:
+    """The published kinematics, where the shape of a real body was read."""
+    if manipulator.kinematics == "published" and _hold_shape(tables):
+        yield (
+            "tip angles or positions are fitted in the published kinematics, which bends 5 to 10 % less at 40 % loss; "
+            "use the exact one for a real body"
+        )
+
+
+def warnings_of_trials(fit: LeastSquaresFit, groups: Sequence[Group]) -> Iterator[str]:
     """Readings that differ from trial to trial, although no parameter does."""
-    for group in fit.groups:
+    for group in groups:
         trials = group.table.trial[group.there]
         exact = np.max(np.abs(fit.residuals[group.label]), initial=0.0) <= EXACT * np.max(np.abs(group.observed))
         if TRIALS in fit.parameters or exact:  # rounding errors may differ from trial to trial
@@ -171,7 +164,7 @@ def _warnings_of_trials(fit: "Fit") -> Iterator[str]:
             yield f"{group.label} differs from trial to trial by more than its scatter; try per_trial"
 
 
-def _warnings_of_solves(ends: Sequence[SolveResults]) -> Iterator[str]:
+def warnings_of_solves(ends: Sequence[SolveResults]) -> Iterator[str]:
     """Rows whose solves ended in a way that is worth a note."""
     for solves in ends:
         for status in NOTEWORTHY:
@@ -182,20 +175,7 @@ def _warnings_of_solves(ends: Sequence[SolveResults]) -> Iterator[str]:
                 yield f"{where}, {rows_in_words(named_rows([solves.table], [which]))}: {words_of(status)}"
 
 
-def remarks_on_rows(fit: "Fit") -> Iterator[str]:
-    """Samples of a hold that are not independent, readings with a history that drift, and rows that are alike."""
-    yield from (_held_in_words(fit, group) for group in fit.groups)
-    if fit.success:
-        yield from (_drift_of(fit, group) for group in fit.groups)
-    if fit.success and fit.neighbours:
-        yield (
-            f"residuals of neighbouring rows are alike (correlation {fit.neighbours:.2f}), as a wrong model makes "
-            f"them: standard errors and intervals are {np.sqrt(variance_of_neighbours(fit.neighbours)):.1f} times "
-            "those of independent readings"
-        )
-
-
-def _drift_of(fit: "Fit", group: Group) -> str:
+def drift_of(fit: LeastSquaresFit, group: Group) -> str:
     """In words, that the residuals of a group with a history drift from the first step to the last; "" if not.
 
     Two more parameters of the linearised model are tested: an error that grows with the step, and one that grows with
@@ -239,13 +219,12 @@ def neighbours(residuals: Mapping[str, np.ndarray], groups: Sequence[Group]) -> 
     return min(correlation, MOST_ALIKE), [group.label for group in every]
 
 
-def _held_in_words(fit: "Fit", group: Group) -> str:
+def held_in_words(residuals: Mapping[str, np.ndarray], group: Group) -> str:
     """That standardised residuals within the holds of a group are correlated, and what helps; "" where they are not."""
     table = group.table
     order = table.order[group.there[table.order]]
     holds = holds_of(table)[order]
-    own = fit.standardised_residuals[group.label][(np.cumsum(group.there) - 1)[order]]
-    correlation = correlation_of_rows(own, holds)
+    correlation = correlation_of_rows(residuals[group.label][(np.cumsum(group.there) - 1)[order]], holds)
     if not correlation:
         return ""
     return (
@@ -258,6 +237,15 @@ def _held_in_words(fit: "Fit", group: Group) -> str:
 def variance_of_neighbours(correlation: float) -> float:
     """The variance of means of correlated readings over that of independent ones, of a first-order autoregression."""
     return (1 + correlation) / (1 - correlation)
+
+
+def neighbours_in_words(correlation: float) -> str:
+    """That residuals of neighbouring rows are alike, and what was done."""
+    return (
+        f"residuals of neighbouring rows are alike (correlation {correlation:.2f}), as a wrong model makes them: "
+        f"standard errors and intervals are {np.sqrt(variance_of_neighbours(correlation)):.1f} times those of "
+        "independent readings"
+    )
 
 
 def shown_unit(name: str) -> tuple[float, str]:
@@ -282,46 +270,34 @@ def error_in_words(known: Determination, name: str) -> str:
     return f"{100 * error / abs(value):.2g} %" if kind.positive else shown(error, kind.dimension)
 
 
-def verdict_of(fit: "Fit") -> Iterator[str]:
-    """In words: what the data determine, what they do not determine, and what measurement would help."""
-    if not fit.success:
-        yield f"The fit failed: {fit.result}. No parameter is identified."
-    if left_out := fit.options["leave_out"]:
-        yield f"Left out: {rows_in_words(left_out)}."
-    yield from _so_far_in_words(fit) if fit.result == INTERRUPTED else _estimates_in_words(fit)
-    if TRIALS in fit.parameters:
-        yield f"friction differs from trial to trial by {100 * fit.trial_spread:.2g} % (standard deviation)"
-    lost = {name for name, status in fit.status.items() if status == NOT_IDENTIFIED} - {*fit.bounded_above}
-    if lost and fit.success:
-        yield _advice_on(fit, lost)
-
-
-def _so_far_in_words(fit: "Fit") -> Iterator[str]:
+def so_far_in_words(fit: LeastSquaresFit) -> list[str]:
     """A line for each fitted parameter of a search that was interrupted."""
-    for name in fit.own_names:
-        scale, unit = shown_unit(name)
-        yield f"{name} = {scale * fit.value[name]:.4g}{unit} so far: not identified"
+    own = [name for name in fit.names if not name.startswith(TRIALS)]
+    shown = [(name, *shown_unit(name)) for name in own]
     misfit, group = fit.minimum.misfit
-    yield f"misfit {100 * misfit:.3g} % of the scatter of {group}"
+    lines = [f"{name} = {scale * fit.value[name]:.4g}{unit} so far: not identified" for name, scale, unit in shown]
+    return [*lines, f"misfit {100 * misfit:.3g} % of the scatter of {group}"]
 
 
-def _estimates_in_words(fit: "Fit") -> Iterator[str]:
+def estimates_in_words(found: Determination, bounded_above: Sequence[str] = ()) -> list[str]:
     """A line for each parameter and combination, in the unit that engineers use."""
-    for name, status in fit.status.items():
-        value, error, low, high, unit = parameter_shown(fit, name)
+    lines = []
+    for name, status in found.status.items():
+        value, error, low, high, unit = parameter_shown(found, name)
         if status == IDENTIFIED:
-            yield f"{name} = {value:.4g} +- {error:.2g}{unit} (95 %: {low:.4g} to {high:.4g}{unit}): identified"
+            lines.append(f"{name} = {value:.4g} +- {error:.2g}{unit} (95 %: {low:.4g} to {high:.4g}{unit}): identified")
         elif status != NOT_IDENTIFIED:
-            limit = f", at most {high:.4g}{unit} (95 %)" if name in fit.bounded_above else ""
-            yield f"{name} = {value:.4g}{unit}: {status}{limit}"
-        elif name in fit.bounded_above:
-            yield f"{name}: at the lower bound {low:.4g}{unit}, at most {high:.4g}{unit} (95 %): not identified"
+            limit = f", at most {high:.4g}{unit} (95 %)" if name in bounded_above else ""
+            lines.append(f"{name} = {value:.4g}{unit}: {status}{limit}")
+        elif name in bounded_above:
+            lines.append(f"{name}: at the lower bound {low:.4g}{unit}, at most {high:.4g}{unit} (95 %): not identified")
         else:
-            yield f"{name}: not identified"
-    for found_together, parts in ((fit.combinations, "factors"), (fit.sums, "terms")):
+            lines.append(f"{name}: not identified")
+    for found_together, parts in ((found.combinations, "factors"), (found.sums, "terms")):
         for name, (value, error, _) in found_together.items():
             number = f"{value:.4g} +- {error:.2g} {unit_of(name)}"
-            yield f"{name} = {number}: identified, although its {parts} are not"
+            lines.append(f"{name} = {number}: identified, although its {parts} are not")
+    return lines
 
 
 def _hold_shape(tables: Sequence[Measurements]) -> bool:
@@ -329,7 +305,7 @@ def _hold_shape(tables: Sequence[Measurements]) -> bool:
     return any(of_shape(column) for table in tables for column in table.columns)
 
 
-def _advice_on(fit: "Fit", lost: set[str]) -> str:
+def advice_on(fit: LeastSquaresFit, tables: Sequence[Measurements], lost: set[str]) -> str:
     """What measurement would separate the parameters that these data do not separate."""
     unknown = f"The data do not determine {', '.join(sorted(lost))}"
     if pasts := sorted(filter(is_past, lost)):
@@ -342,19 +318,19 @@ def _advice_on(fit: "Fit", lost: set[str]) -> str:
             f"{unknown}. Some have the same effect: only the sums and differences above are determined. Fix one "
             "parameter of each, or give it a prior."
         )
-    if any(map(is_driven_by_length, fit.tables)):
+    if any(map(is_driven_by_length, tables)):
         return (
             f"{unknown}. cddf plan says by how much other measurements would help: a load cell at the tip, a known "
             "weight there, a marker in the middle, loops of other amplitudes and speeds. Or give a value that is "
             "measured in another way, or a prior."
         )
-    if _hold_shape(fit.tables):
+    if _hold_shape(tables):
         pulley = " (friction: a pulley test)" if "friction_coefficient" in lost else ""
         return (
             f"{unknown}, although they hold tip angles or positions. Each needs a value that is measured in another "
             f"way{pulley}, or a prior."
         )
-    if all("pulling_tension" in table for table in fit.tables):
+    if all("pulling_tension" in table for table in tables):
         return (
             "A pulley test determines the friction alone. Add tip tensions, tip angles or tip positions of the "
             "manipulator."
