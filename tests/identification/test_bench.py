@@ -13,7 +13,7 @@ from test_fit import LEVELS, MU, E, closed_form, wrap
 
 import cddf_jax as cddf
 from cddf_jax.identification.bench import Bench, BenchModel, groups_of
-from cddf_jax.identification.fit_inputs import courses_of, noise_of, split_noise, unread_rows
+from cddf_jax.identification.fit_inputs import noise_of, split_noise, unread_rows
 from cddf_jax.identification.parameters import (
     OF_SPACE,
     OF_STRETCH,
@@ -237,18 +237,7 @@ def test_noise_follows_its_readings():
     np.testing.assert_array_equal(found["pulled: displacement"], [1e-4, 3e-4])
 
 
-def test_trials_are_counted_without_pulley_tests():
-    """The slack offset of trial 2 belongs to the second trial of the loops, whichever table comes first."""
-    pulley = Measurements.from_columns("pulley", weight=[1.0], wrap_angle=[1.0], pulling_tension=[1.5])
-    columns = {"displacement": [1e-3, 2e-3, 1e-3, 2e-3], "tip_angle": [0.1, 0.2, 0.1, 0.2], "step": [0, 1, 0, 1]}
-    loops = Measurements.from_columns("loops", **columns, trial=[1, 1, 2, 2])
-    given = True, "rest", ("slack_offset_trial_2",), {"displacement": 0.0}, 4, cddf.BenchSetting()
-    courses, _ = courses_of(paper_body("exact"), [pulley, loops], *given)
-    assert courses[1] is not None
-    assert np.asarray(courses[1][0].number).tolist() == [1, 2]
-
-
-@pytest.mark.parametrize("name", ["tip_gain_3", "base_gain_0", "slack_offset_3_trial_1"])
+@pytest.mark.parametrize("name", ["tip_gain_3", "base_gain_0"])
 def test_parameters_of_tendons_that_are_not_there(name):
     table = Measurements.from_columns("bench", base_tension=[5.0], base_tension_2=[0.0], tip_angle=[0.1])
     said = refused(cddf.fit, paper_body("exact", num_tendons=2), table, ("friction_coefficient", name))

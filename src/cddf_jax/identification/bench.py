@@ -43,7 +43,6 @@ from .parameters import (
     BenchSetting,
     Parameters,
     of_all_tendons,
-    slack_offsets,
     turn_of,
     with_deviation,
     with_parameters,
@@ -207,8 +206,7 @@ class Bench(eqx.Module):
             course, readings = self.course, self.course.path(parameters)
             tension = _true_tension(parameters, readings, of_set_ones)
             if any(course.by_length):
-                offset = self._slack_offsets(parameters, manipulator.num_tendons, jnp.arange(len(readings)))
-                displacement = course.true_displacement(parameters, readings, offset[:, set_ones])
+                displacement = course.true_displacement(parameters, readings, of_set_ones("slack_offset"))
                 tension = jnp.where(course.set_by_length, displacement, tension)
             of_trial = None if deviation is None else deviation[self.course.first_row]
             loads_with = partial(self.setting.loads_with, parameters=parameters, components=components)
@@ -249,11 +247,6 @@ class Bench(eqx.Module):
             shown = shown._replace(tip_position=look(shown.tip_position), tip_axis=axis, markers=markers)
         return {column: self._reading(shown, column, parameters) for column in columns}
 
-    def _slack_offsets(self, parameters: Parameters, tendons: int, trial: Array) -> Float[Array, "n tendons"]:
-        """Those of each tendon in trials of the course, m."""
-        numbers = None if self.course is None else self.course.number
-        return slack_offsets(parameters, tendons, 0 * trial if numbers is None else jnp.asarray(numbers)[trial])
-
     def _reading(self, shown: Shown, column: str, parameters: Parameters) -> Array:
         kind = READINGS[kind_of(column)]
         values = kind.of(shown)
@@ -262,8 +255,7 @@ class Bench(eqx.Module):
             values = gain * (values - parameters.get("pretension", 0.0)) + zero
         if kind.zero:
             if kind.per_tendon:
-                trial = jnp.zeros(len(values), int) if self.course is None else jnp.asarray(self.course.trial)
-                values = values + self._slack_offsets(parameters, values.shape[-1], trial)
+                values = values + of_all_tendons(parameters, kind.zero, values.shape[-1])
             else:
                 values = values + parameters.get(kind.zero, 0.0)
         if marker := marker_column(column):

@@ -77,7 +77,6 @@ class Course(eqx.Module):
     by_length: tuple[bool, ...] = eqx.field(default=(False,), static=True)  # whether displacements set a tendon at all
     by_tension: Bool[np.ndarray | Array, "trials steps tendons"] | None = None  # where tensions set it; None: see above
     time: Float[np.ndarray | Array, "trials steps"] | None = None  # s, where the body comes after the motors
-    number: Int[np.ndarray | Array, " trials"] | None = None  # of each trial among those of all tables, from 1
 
     @property
     def turns(self) -> bool:
@@ -140,9 +139,9 @@ class Course(eqx.Module):
     def true_displacement(self, parameters: Mapping[str, ArrayLike], readings: Array, offset: Array) -> Array:
         """(trials, steps, tendons), how far each tendon is pulled in, m, from what the encoders read.
 
-        `offset`: the slack offset of each tendon in each trial, m.
+        `offset`: the slack offset of each tendon, m.
         """
-        pulled = readings - offset[:, None]
+        pulled = readings - offset
         if "backlash" in parameters:
             pulled = jax.vmap(partial(_with_backlash, parameters["backlash"]))(pulled)
         if self.time is not None:
@@ -304,7 +303,6 @@ def course_of(
     paths: Sequence[np.ndarray] | None = None,
     stepped: bool = False,
     timed: bool = False,
-    numbered_from: int | None = None,
 ) -> tuple[Course, dict[str, Steady]]:
     """The rows of a table as steps of paths, and by column what was set without the jitter of its readings.
 
@@ -317,8 +315,6 @@ def course_of(
         paths: the rows of each path; None: those of each trial.
         stepped: whether loads of all rows, or friction besides that on the body, rule out an exact answer.
         timed: whether the body may come after motors, so that the times of the rows count.
-        numbered_from: the number of the first trial among those of all tables; None where none is asked for, so that
-            predictions take the same program.
 
     Raises:
         InputError: for a column `direction` of a single tendon that contradicts the order of the rows, a largest
@@ -364,7 +360,6 @@ def course_of(
         by_length=by_length,
         by_tension=~flags if by_both else None,
         time=_times(table, rows_of_paths, readings.shape[1]) if timed else None,
-        number=None if numbered_from is None else numbered_from + table.trial[first],
     )
     return course, steady
 

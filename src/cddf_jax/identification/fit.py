@@ -129,8 +129,7 @@ class Fit(LeastSquaresFit):
             conditions: base tensions, N, (rows,) where every tendon has the same tension, or (rows, tendons). Or by
                 column what is set, as in a table, SI: {"base_tension": 50.0, "force_y@60mm": -1.0}, or
                 {"displacement": [0.004, 0.011]} as the encoders read, with "time" where the fit knows a lag; numbers,
-                or lists of one length. A further tendon that is not named has no tension. The slack offsets are those
-                of all trials, not those of one trial alone.
+                or lists of one length. A further tendon that is not named has no tension.
             history: whether the rows are a path from rest, pulled and released in this order; every turn counts. Else
                 each row is an equilibrium of its own, with the directions that `solve` finds. By displacement, and
                 where friction acts along a history only, it is pulled from rest, and its forces grow with it.
@@ -225,8 +224,7 @@ def fit(
             (`outer_radius_error`, `tendon_angle_error`), best with priors. With a history it may be friction besides
             that of tendons on the body (`friction_moment`, `outside_friction`, `outside_drag`), of tendons driven by
             displacement what stands between motor and body (`slack_offset`, `outside_compliance`, `backlash`, `lag`,
-            and `tendon_stretch`, 1 / (E A) of the tendon;
-            `slack_offset_trial_2` in trial 2 alone, of all tendons, `slack_offset_1_trial_2` of tendon 1),
+            and `tendon_stretch`, 1 / (E A) of the tendon),
             or of one tendon `before` (`before_2` for trial 2), the largest base tension before the first row, N.
         priors: by parameter, mean and standard deviation of a Gaussian, SI units.
         bounds: by parameter, (lower, upper), SI units; default (0, None) for what is positive.

@@ -17,7 +17,7 @@ from ..robot.manipulator import Manipulator
 from ..units import si_unit
 from .bench import Bench, Group, Pulley, experiment_of
 from .course import EACH, SHORT_STEPS, Course, course_of, how_followed, paths_of
-from .parameters import MOTORS, BenchSetting, along_a_path, trial_of
+from .parameters import MOTORS, BenchSetting, along_a_path
 from .tension_before import Before, first_guesses, pasts_of
 
 Conditions = Mapping[str, ArrayLike | Sequence[ArrayLike]]
@@ -44,13 +44,6 @@ def courses_of(
             what = f"{table.name}: {', '.join(along)} act along a history, and the rows have none"
             raise InputError(what, remedy="add a column step or time, or give history=True (--history)")
     how = how_followed(manipulator, names, setting.loads)
-    # a table without trials is one, and a pulley test none
-    counted = [0 if "pulling_tension" in table else len(table.trial_labels) or 1 for table in tables]
-    ends = np.cumsum([0, *counted])
-    for name in names:
-        if (trial := trial_of(name)) is not None and trial > ends[-1]:
-            what = f"{name} belongs to trial {trial}, but the tables have {ends[-1]}"
-            raise InputError(what, remedy="number the trials of all tables from 1, in their order")
     needed = next((name for name in along if name in MOTORS), "")
     for table in tables:
         for own in table.set_columns:
@@ -58,12 +51,9 @@ def courses_of(
                 place = f"{table.name}: {table.place(int(np.argmin(own.rows)))}, column {own.column}"
                 what = f"{place}: a base tension sets the tendon there, and {needed} takes displacements in all rows"
                 raise InputError(what, remedy=f"clear the base tensions of this tendon, or leave {needed} out")
-    by_trial = any(trial_of(name) is not None for name in names)
     courses = [
-        course_of(table, noise, own, short_steps, paths=rows, numbered_from=end + 1 if by_trial else None, **how)
-        if rows
-        else None
-        for table, rows, own, end in zip(tables, paths, pasts, ends.tolist()[:-1], strict=True)
+        course_of(table, noise, own, short_steps, paths=rows, **how) if rows else None
+        for table, rows, own in zip(tables, paths, pasts, strict=True)
     ]
     known = [(own, course[0]) for own, course in zip(pasts, courses, strict=True) if course]
     first = [(own, np.asarray(course.readings)[:, 0, 0]) for own, course in known]
