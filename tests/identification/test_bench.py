@@ -25,7 +25,6 @@ from cddf_jax.identification.parameters import (
 )
 from cddf_jax.identification.predictions import beyond_the_data
 from cddf_jax.identification.tension_before import is_past
-from cddf_jax.measurements.left_out import without
 from cddf_jax.measurements.table import Measurements
 
 BASE = np.tile(LEVELS, 6)
@@ -225,16 +224,17 @@ def test_units_of_parameters_and_of_their_products(name, unit):
 
 
 def test_noise_follows_its_readings():
-    """A column that sets the tendons of one table and is read in another; a number for each reading, one left out."""
+    """A column that sets the tendons of one table and is read in another."""
     lengths = {"displacement": [1e-3, 2e-3, 3e-3]}
     driven = Measurements.from_columns("driven", **lengths, tip_angle=[0.1, 0.2, 0.3])
     pulled = Measurements.from_columns("pulled", base_tension=[5.0, 10.0, 15.0], **lengths)
     predicted, of_base = split_noise({"displacement": 1e-4}, [driven, pulled])
     assert predicted == of_base == {"displacement": 1e-4}
-    (left,), _ = without([pulled], [2])
-    (group,) = groups_of([left], BenchModel(paper_body("exact"), (bench_of(left, paper_body("exact")),), 16))
-    found = noise_of([group], {"displacement": np.array([1e-4, 2e-4, 3e-4])}, {"pulled": pulled})
-    np.testing.assert_array_equal(found["pulled: displacement"], [1e-4, 3e-4])
+    (group,) = groups_of([pulled], BenchModel(paper_body("exact"), (bench_of(pulled, paper_body("exact")),), 16))
+    assert noise_of([group], predicted) == {"pulled: displacement": 1e-4}
+    for given in (np.array([1e-4, 2e-4]), [1e-4], -1.0, np.nan):
+        said = refused(cddf.fit, paper_body("exact"), pulled, noise={"displacement": given})
+        assert "noise of displacement must be one standard deviation in m, 0 or more" in said
 
 
 @pytest.mark.parametrize("name", ["tip_gain_3", "base_gain_0"])

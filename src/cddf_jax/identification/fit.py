@@ -6,7 +6,6 @@ from functools import cached_property, partial
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import ArrayLike
 
 from ..errors import InputError, within
 from ..estimation.determination import FIXED, NOT_IDENTIFIED, Determination, Estimate, determine, estimate
@@ -190,7 +189,7 @@ def fit(
     priors: Priors | None = None,
     *,
     bounds: Bounds | None = None,
-    noise: Mapping[str, ArrayLike | Noise] | None = None,
+    noise: Mapping[str, float | Noise] | None = None,
     setting: BenchSetting = PLAIN,
     history: bool | Literal["each"] | None = None,
     before: Before = "rest",
@@ -228,10 +227,9 @@ def fit(
             or of one tendon `before` (`before_2` for trial 2), the largest base tension before the first row, N.
         priors: by parameter, mean and standard deviation of a Gaussian, SI units.
         bounds: by parameter, (lower, upper), SI units; default (0, None) for what is positive.
-        noise: by column, known standard deviation, SI units, a number or one for each reading, or
-            `Noise(floor, fraction)`; what is not given is estimated, for each column of each table, from the
-            residuals. That of `base_tension` is one number, 0 for exact base tensions. It also decides which turns a
-            history ignores.
+        noise: by column, known standard deviation, SI units, or `Noise(floor, fraction)`; what is not given is
+            estimated, for each column of each table, from the residuals. That of `base_tension` is a number, 0 for
+            exact base tensions. It also decides which turns a history ignores.
         setting: what all rows share: constant loads such as gravity, positions of markers, known numbers of the bench.
         history: whether each row depends on the rows before it, in the order of the columns `step` or `time`, or else
             in that of the file. "each": every row was pulled from rest, its tensions and forces in proportion; loads
@@ -267,7 +265,6 @@ def fit(
         **{"history": history, "before": before, "short_steps": short_steps, "per_trial": per_trial},
         **{"starts": starts, "seed": seed},
     }
-    whole = tables
     with within("fit"):
         tables, left_out = without(tables, leave_out)
     if history not in (None, True, False, EACH):
@@ -300,7 +297,7 @@ def fit(
     start |= {name: guess for name, (guess, _) in guesses.items()}
     own_bounds = {name: POSITIVE for name, kind in kinds.items() if kind.positive}
     bounds = _with_bounds(own_bounds | {name: (low, None) for name, (_, low) in guesses.items()}, bounds or {})
-    sigma = noise_of(groups, noise, dict(zip(model.names, whole, strict=True)))
+    sigma = noise_of(groups, noise)
     with within("fit"):
         check_reach(model, groups, free, setting.given)
     pose = camera_parameters(manipulator)

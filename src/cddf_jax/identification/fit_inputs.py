@@ -7,12 +7,11 @@ from jaxtyping import ArrayLike
 
 from ..errors import InputError
 from ..estimation.observations import Noise
-from ..measurements.columns import is_reading
+from ..measurements.columns import column_dimension, is_reading
 from ..measurements.jitter import Steady
 from ..measurements.readings import SET, kind_of_set, of_tendons
 from ..measurements.table import Measurements
 from ..numerics.given_numbers import check_numbers
-from ..quantities import dimension_of
 from ..robot.manipulator import Manipulator
 from ..units import si_unit
 from .bench import Bench, Group, Pulley, experiment_of
@@ -20,7 +19,8 @@ from .course import EACH, SHORT_STEPS, Course, course_of, how_followed, paths_of
 from .parameters import MOTORS, BenchSetting, along_a_path
 from .tension_before import Before, first_guesses, pasts_of
 
-Conditions = Mapping[str, ArrayLike | Sequence[ArrayLike]]
+Numbers = ArrayLike | Sequence[ArrayLike] | Sequence[Sequence[float]]
+Conditions = Mapping[str, Numbers]
 
 
 def courses_of(
@@ -107,22 +107,25 @@ def unread_rows(
 
 
 def split_noise(
-    noise: Mapping[str, ArrayLike | Noise], tables: Sequence[Measurements]
-) -> tuple[dict[str, ArrayLike | Noise], dict[str, float]]:
+    noise: Mapping[str, float | Noise], tables: Sequence[Measurements]
+) -> tuple[dict[str, float | Noise], dict[str, float]]:
     """The noise of the predicted columns, and that of what was set."""
     columns = {own.column for table in tables for own in table.set_columns}
     columns |= {*map(kind_of_set, columns)} - {column for table in tables for column in table.columns}
-    base = {column: given for column, given in noise.items() if column in columns}
-    for column, given in base.items():
-        if not isinstance(given, Noise):
-            check_numbers(f"noise of {column}", [given])
-        if isinstance(given, Noise) or np.ndim(given) or not np.asarray(given) >= 0:
-            unit = si_unit(dimension_of(kind_of_set(column)))
+    base: dict[str, float] = {}
+    for column, given in noise.items():
+        if isinstance(given, Noise) and column not in columns:
+            continue
+        check_numbers(f"noise of {column}", [given])
+        number = np.asarray(given, float)
+        if number.ndim or not number >= 0:
+            unit = si_unit(column_dimension(column) or "dimensionless")
             raise InputError(f"noise of {column} must be one standard deviation in {unit}, 0 or more")
+        base |= {column: float(number)} if column in columns else {}
     read = {own.column for table in tables for own in table.set_columns if np.any(table.has(own.column) & ~own.rows)}
     read |= {column for table in tables for column in table.columns if is_reading(column, table.columns)}
     predicted = {column: given for column, given in noise.items() if column not in base or column in read}
-    return predicted, {column: float(np.asarray(given)) for column, given in base.items()}
+    return predicted, base
 
 
 def trials_of(table: Measurements) -> tuple[str, ...]:
@@ -130,15 +133,8 @@ def trials_of(table: Measurements) -> tuple[str, ...]:
     return () if "pulling_tension" in table else table.trial_labels
 
 
-def noise_of(
-    groups: Sequence[Group], noise: Mapping[str, ArrayLike | Noise], whole: Mapping[str, Measurements]
-) -> dict[str, ArrayLike | Noise | None]:
+def noise_of(groups: Sequence[Group], noise: Mapping[str, float | Noise]) -> dict[str, float | Noise | None]:
     """By group, the given noise of its column, or None.
-
-    Args:
-        groups: the data.
-        noise: by column; one number for each reading counts those that were left out too.
-        whole: the tables by the names of the groups, with the readings that were left out.
 
     Raises:
         InputError: for a column that no table holds.
@@ -147,10 +143,4 @@ def noise_of(
     for column in set(noise) - columns:
         held = ", ".join(sorted(columns))
         raise InputError(f"fit: noise is given for {column!r}, which no table holds; they hold {held}")
-
-    def kept(group: Group) -> ArrayLike | Noise | None:
-        given, before = noise.get(group.column), whole[group.name].has(group.column)
-        each = given is not None and not isinstance(given, Noise) and np.shape(given) == (np.count_nonzero(before),)
-        return np.asarray(given)[group.there[before]] if each else given
-
-    return {group.label: kept(group) for group in groups}
+    return {group.label: noise.get(group.column) for group in groups}

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import ArrayLike
 
 from ..errors import InputError
 from ..estimation.least_squares import LeastSquaresFit
@@ -20,12 +19,10 @@ from ..measurements.table import Measurements
 from ..numerics.arrays import evaluated
 from ..numerics.given_numbers import check_numbers
 from .bench import Bench, BenchModel, Group
-from .fit_inputs import Conditions, unread_table
+from .fit_inputs import Conditions, Numbers, unread_table
 from .parameters import TRIALS
 
 SPANNED = 1e-9  # of the largest tension or force: rows as close to the range of the data count as inside
-
-Numbers = ArrayLike | Sequence[float] | Sequence[Sequence[float]]
 
 
 class Prediction(NamedTuple):

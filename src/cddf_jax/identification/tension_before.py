@@ -86,7 +86,8 @@ def pasts_of(counts: Sequence[int], before: Before, free: Collection[str]) -> li
             parameter of a trial that does not exist.
     """
     total, listed = sum(counts), not np.isscalar(before)
-    entries = [_checked(entry) for entry in (cast("Sequence[One]", before) if listed else (before,))]
+    given = cast("Sequence[One]", before) if listed else (cast("One", before),)
+    entries = [_checked(entry) for entry in given]
     fitted = {int(name.partition("_")[2] or 0): name for name in free if is_past(name)}  # 0 stands for all trials
     if not total and (fitted or any(entries)):
         raise InputError("before is used with a history only; leave it out, or give history=True")
@@ -103,14 +104,14 @@ def pasts_of(counts: Sequence[int], before: Before, free: Collection[str]) -> li
     return [Past(stated[i:k], tuple(parameters[i:k])) for i, k in pairwise(ends)]
 
 
-def _checked(entry: object) -> float:
+def _checked(entry: One) -> float:
     """The entry as a tension, N; 0 for rest."""
     if isinstance(entry, str) and entry == REST:
         return 0.0
     if not isinstance(entry, str):
         check_numbers("before", entry)
-        if np.ndim(entry) == 0 and 0 < float(cast("float", entry)) < np.inf:
-            return float(cast("float", entry))
+        if np.ndim(entry) == 0 and 0 < float(entry) < np.inf:
+            return float(entry)
     raise InputError(f'before must be "rest" or the largest base tension before the first row, N, got {entry!r}')
 
 
