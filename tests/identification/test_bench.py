@@ -182,12 +182,21 @@ def test_every_parameter_reaches_the_readings(paper):
         assert np.all(size > 0), name
 
 
-def test_which_rows_lie_beyond_the_data(paper):
-    """By hand, in base tension and in either component of the tip force."""
-    data = Bench(np.array([[10.0], [40.0]]), (None,), np.array([[(0.0, -1.0)], [(0.0, -1.0)]]))
-    force = np.array([[(0.0, -1.0)], [(0.0, -1.1)], [(0.1, -1.0)], [(0.0, -1.0)]])
-    wanted = Bench(np.array([[20.0], [20.0], [20.0], [41.0]]), (None,), force)
-    assert beyond_the_data(wanted, BenchModel(paper, (data,), 16)).tolist() == [False, True, True, True]
+def test_which_rows_lie_beyond_the_data():
+    """By hand, in base tension and in either component of a force on the tip or at 60 mm; a pulley test holds none."""
+
+    def rows(**columns):
+        return Measurements.from_columns("rows", **columns, tip_angle=np.zeros(len(columns["base_tension"])))
+
+    data = rows(base_tension=[10.0, 40.0], tip_force_y=[-1.0, -1.0], **{"force_y@60mm": [0.0, -2.0]})
+    wanted = {"base_tension": [20.0] * 5 + [41.0], "tip_force_y": [-1.0, -1.1, *[-1.0] * 4]}
+    wanted |= {"tip_force_x": [0.0, 0.0, 0.1, 0.0, 0.0, 0.0], "force_y@6cm": [-1.0, 0.0, 0.0, -2.1, 0.1, 0.0]}
+    assert beyond_the_data(rows(**wanted), [data]).tolist() == [False, True, True, True, True, True]
+    pulley = Measurements.from_columns("pulley", weight=[1.0], wrap_angle=[1.0], pulling_tension=[1.5])
+    assert beyond_the_data(rows(base_tension=[10.0]), [pulley]).tolist() == [True]
+    assert beyond_the_data(rows(base_tension=[10.0]), [rows(base_tension=[5.0, 20.0])]).tolist() == [False]
+    pair = rows(base_tension=[10.0, 10.0], base_tension_2=[0.0, 1.0])
+    assert beyond_the_data(pair, [rows(base_tension=[5.0, 20.0])]).tolist() == [False, True]
 
 
 def test_which_rows_lie_on_one_curve(paper):

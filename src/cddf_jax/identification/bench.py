@@ -159,13 +159,6 @@ class Bench(eqx.Module):
         return not any(np.any(np.asarray(stated) < 0) for stated in self.direction if stated is not None)
 
     @property
-    def by_length(self) -> np.ndarray:
-        """(rows, tendons), whether a displacement sets the tendon."""
-        if self.course is None:
-            return np.zeros(np.shape(self.actuation), bool)
-        return np.asarray(self.course.set_by_length)[np.asarray(self.course.trial), np.asarray(self.course.step)]
-
-    @property
     def in_order(self) -> bool | None:
         """Whether the rows are followed in their order; None: each from rest."""
         if self.course is None:

@@ -144,7 +144,7 @@ class Fit(LeastSquaresFit):
         if column not in shown.readings:
             raise InputError(f"predict: {column!r} is not a reading; there are {', '.join(shown.readings)}")
         band = self.band(shown.derivatives[column])
-        return Prediction(shown.readings[column], band, beyond_the_data(wanted, self.model))
+        return Prediction(shown.readings[column], band, beyond_the_data(table, self.tables))
 
     @property
     def whole_setting(self) -> BenchSetting:

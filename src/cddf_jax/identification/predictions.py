@@ -12,9 +12,9 @@ import numpy as np
 
 from ..errors import InputError
 from ..estimation.least_squares import LeastSquaresFit
-from ..measurements.forces import ON_TIP
+from ..measurements.forces import forces_of
 from ..measurements.markers import marker_column
-from ..measurements.readings import of_tendons
+from ..measurements.readings import SET, kind_of_set, of_tendons
 from ..measurements.table import Measurements
 from ..numerics.arrays import evaluated
 from ..numerics.given_numbers import check_numbers
@@ -52,31 +52,25 @@ def rows_to_predict(conditions: Numbers | Conditions, num_tendons: int, column: 
     return unread_table("predict", by_column, num_tendons, [column if marker_column(column) else "tip_angle"])
 
 
-def beyond_the_data(wanted: Bench, model: BenchModel) -> np.ndarray:
-    """Which rows lie outside the range of the data, in any base tension, displacement or component of a force."""
+def beyond_the_data(wanted: Measurements, tables: Sequence[Measurements]) -> np.ndarray:
+    """Which rows lie outside the range of the data, in any base tension, displacement or component of a force.
 
-    tendons, benches = model.manipulator.num_tendons, [one for one in model.experiments if isinstance(one, Bench)]
-    places = [ON_TIP, *sorted({place for one in (wanted, *benches) for place in one.setting.force_at})]
+    What a table does not name was 0 in it.
+    """
 
-    def conditions(bench: Bench) -> np.ndarray:
-        rows, pull = len(bench.actuation), np.asarray(bench.actuation)[:, None]
-        force, pulls = np.zeros((rows, len(places), 3)), np.zeros((rows, 2, tendons))
-        of_kind = bench.by_length[:, None] == np.array([[False], [True]])  # first tensions, then displacements
-        set_ones = slice(None) if bench.tendons is None else np.asarray(bench.tendons)
-        pulls[:, :, set_ones] = np.where(of_kind, pull, np.nan)
-        if bench.forces is not None:
-            own = [places.index(place) for place in (ON_TIP, *bench.setting.force_at)]
-            force[:, own, : np.shape(bench.forces)[2]] = bench.forces
-        return np.concatenate([pulls.reshape(rows, -1), force.reshape(rows, -1)], axis=1)
+    def conditions(table: Measurements) -> dict[str | tuple[float, int], np.ndarray]:
+        places, forces = forces_of(table.columns, len(table))
+        found = zip((0.0, *places.values()), np.moveaxis(forces, 0, 2), strict=True)  # the tip comes first
+        of_forces = {(place, axis): values for place, own in found for axis, values in enumerate(own)}
+        return of_forces | {name: own for name, own in table.columns.items() if kind_of_set(name) in SET}
 
-    there = conditions(wanted)
-    if not benches:
-        return np.ones(len(there), bool)
-    measured = np.concatenate([*map(conditions, benches)])
-    low, high = np.fmin.reduce(measured), np.fmax.reduce(measured)  # NaN where nothing was measured
-    slack = SPANNED * np.maximum(np.abs(low), np.abs(high))
-    inside = (there >= low - slack) & (there <= high + slack)
-    return np.any(np.isfinite(there) & ~inside, axis=1)
+    beyond, measured = np.zeros(len(wanted), bool), [conditions(one) for one in tables if "pulling_tension" not in one]
+    for what, values in conditions(wanted).items() if measured else ():
+        known = np.concatenate([own.get(what, np.zeros(1)) for own in measured])
+        low, high = np.nanmin(known), np.nanmax(known)
+        slack = SPANNED * max(abs(low), abs(high))
+        beyond |= (values < low - slack) | (values > high + slack)
+    return beyond | (not measured)
 
 
 def moved_by_finer_steps(fit: LeastSquaresFit, model: BenchModel, groups: Sequence[Group]) -> dict[str, float]:
