@@ -297,7 +297,7 @@ def test_how_rows_ended_is_the_same_with_and_without_derivatives():
     [
         (
             {"before": 5.0},
-            "simulated: before holds tensions, but displacements set the tendons; begin each",
+            "simulated: before is the base tension of an only tendon; begin each trial with a row of the",
         ),
         ({"free": ["lag"]}, "simulated: lag needs the column time; add it, or do not fit lag"),
         ({"noise": {"displacement": -1.0}}, "noise of displacement must be one standard deviation in m, 0 or more"),

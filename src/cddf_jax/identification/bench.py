@@ -171,17 +171,13 @@ class Bench(eqx.Module):
         least = 2 if loads is None else loads.components, 2 if forces is None else forces.shape[-1]
         return max(manipulator.components, *least)
 
-    def in_space(self, manipulator: Manipulator) -> bool:
-        """Whether the rows are solved in space; static."""
-        return self.components(manipulator) == 3
-
     def one_by_one(self, manipulator: Manipulator) -> bool:
         """Whether rows are solved one after the other; static.
 
         Under loads in space all rows of a batch would wait for the slowest one.
         """
         loaded = self.forces is not None or self.setting.loads is not None
-        return loaded and self.in_space(manipulator)
+        return loaded and self.components(manipulator) == 3
 
     def shown(self, manipulator: Manipulator, parameters: Parameters, nodes: int) -> Shown:
         """What instruments without errors show of the rows, each in equilibrium."""
@@ -469,7 +465,7 @@ def experiment_of(
 def _check_body(table: Measurements, bench: Bench, manipulator: Manipulator, *, zero_is_free: bool) -> None:
     """Refuse a body without weight under gravity, and columns or loads that do not fit the plane or space."""
     check_loads(manipulator, bench.setting.loads)
-    if bench.in_space(manipulator):
+    if bench.components(manipulator) == 3:
         with within("loads of three components", ValueError):
             manipulator.with_angles()
         if "tip_angle" in bench.columns:
