@@ -53,7 +53,7 @@ class Candidate:
     def __post_init__(self):
         for column, numbers in (*self.conditions.items(), *self.noise.items()):
             check_numbers(f"candidate {self.name!r}: {column}", numbers)
-        if not self.noise or not all(noise > 0 for noise in self.noise.values()):
+        if not self.noise or not all(np.ndim(noise) == 0 and noise > 0 for noise in self.noise.values()):
             raise InputError(f"candidate {self.name!r}: noise must name what is read, with standard deviations > 0")
 
 
