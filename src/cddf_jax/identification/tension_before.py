@@ -10,6 +10,7 @@ from itertools import pairwise
 from typing import Literal, cast
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
@@ -85,6 +86,7 @@ def pasts_of(counts: Sequence[int], before: Before, free: Collection[str]) -> li
         InputError: for an entry that is neither "rest" nor a tension, another number of entries than trials, or the
             parameter of a trial that does not exist.
     """
+    check_numbers("before", [entry for entry in jax.tree.leaves(before) if not isinstance(entry, str)])
     total, listed = sum(counts), not np.isscalar(before)
     given = cast("Sequence[One]", before) if listed else (cast("One", before),)
     entries = [_checked(entry) for entry in given]
@@ -108,10 +110,8 @@ def _checked(entry: One) -> float:
     """The entry as a tension, N; 0 for rest."""
     if isinstance(entry, str) and entry == REST:
         return 0.0
-    if not isinstance(entry, str):
-        check_numbers("before", entry)
-        if np.ndim(entry) == 0 and 0 < float(entry) < np.inf:
-            return float(entry)
+    if not isinstance(entry, str) and np.ndim(entry) == 0 and 0 < float(entry) < np.inf:
+        return float(entry)
     raise InputError(f'before must be "rest" or the largest base tension before the first row, N, got {entry!r}')
 
 
