@@ -14,7 +14,7 @@ CALLS = ROOT / "tests" / "typed_calls.py"
 
 def test_every_public_name_is_called():
     """Classes that only come back as results are made by the functions that are called."""
-    results = "Candidate Comparison Contact Design Determination Plan Equilibrium Fields Fit "
+    results = "Candidate Contact Design Determination Plan Equilibrium Fields Fit "
     results += "InputError IterationHistory LeastSquaresFit Measurements ModelFreeFriction ParetoFront "
     results += "Profile SolveError TipJacobian History RobotFile"
     called = set(re.findall(r"cddf\.(\w+)", CALLS.read_text(encoding="utf-8")))

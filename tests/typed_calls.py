@@ -101,7 +101,7 @@ def identification():
     fit.profile("friction_coefficient")
     fit.predict("tip_tension", [20.0, 40.0])
     cddf.write_fit(fit, OUT / "fit")
-    cddf.compare({"one": fit, "two": cddf.fit(robot, [pulley, tensions], nodes=8, noise={"tip_tension": cddf.Noise()})})
+    cddf.fit(robot, [pulley, tensions], nodes=8, noise={"tip_tension": cddf.Noise()}).information_criteria["AIC"]
     cddf.plan(fit, cddf.standard_candidates(robot, 85.0)[:2], num=1)
     cddf.model_free_friction(cddf.read_measurements(DATA / "tip_angle_simulated.csv"))
     up_and_down = [10.0, 40.0, 80.0, 20.0, 10.0]

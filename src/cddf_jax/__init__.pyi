@@ -20,10 +20,6 @@ from .files.manipulator_file import (
 )
 from .history.history import History as History
 from .history.trace import trace as trace
-from .identification.comparison import (
-    Comparison as Comparison,
-    compare as compare,
-)
 from .identification.experiment_design import (
     Candidate as Candidate,
     Plan as Plan,

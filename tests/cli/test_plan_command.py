@@ -1,7 +1,6 @@
 """`cddf plan`: candidates from a file, the same ranking as in Python, one-line errors."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -40,17 +39,6 @@ def test_the_command_ranks_as_the_call_does(run, tmp_path, two_candidates):
     assert pulley["status"]["friction_coefficient"] == "identified"
     assert json.loads((out / "plan.json").read_text()) == answer
     assert (out / "plan.md").read_text().startswith("# What to measure next")
-
-
-def test_noise_that_grows_with_the_reading():
-    """0.3 N and 4 % of the pulling tension: the Fisher information of eq. (5) by hand."""
-    paper = cddf.read_manipulator(PAPER)
-    drum = replace(DRUM, noise={"pulling_tension": cddf.Noise(0.3, 0.04)})
-    answer = cddf.plan(paper, [drum], ["friction_coefficient"])
-    wrap = np.radians([90.0, 180.0])
-    reading = 10.0 * np.exp(float(paper.friction_coefficient) * wrap)
-    information = np.sum((wrap * reading) ** 2 / (0.3**2 + (0.04 * reading) ** 2))
-    assert answer.ranking[0].expected.standard_error["friction_coefficient"] == pytest.approx(information**-0.5)
 
 
 def test_a_known_gain(run, monkeypatch):

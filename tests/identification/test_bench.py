@@ -13,7 +13,7 @@ from test_fit import LEVELS, MU, E, closed_form, wrap
 
 import cddf_jax as cddf
 from cddf_jax.identification.bench import Bench, BenchModel, groups_of
-from cddf_jax.identification.fit_inputs import courses_of, noise_of, split_noise, unread_rows
+from cddf_jax.identification.fit_inputs import noise_of, split_noise, unread_rows
 from cddf_jax.identification.parameters import (
     OF_SPACE,
     OF_STRETCH,
@@ -25,7 +25,6 @@ from cddf_jax.identification.parameters import (
 )
 from cddf_jax.identification.predictions import beyond_the_data
 from cddf_jax.identification.tension_before import is_past
-from cddf_jax.measurements.left_out import without
 from cddf_jax.measurements.table import Measurements
 
 BASE = np.tile(LEVELS, 6)
@@ -67,9 +66,8 @@ def test_gain_and_zeros_of_the_instruments(paper):
     # a fit that takes the cells at their word is far off
     plain = cddf.fit(paper, table, noise=exact)
     assert plain.reduced_chi_square > 2
-    ranking = cddf.compare({"plain": plain, "errors of the cells": found})
-    assert ranking[0].name == "errors of the cells"
-    assert pytest.approx(2 * 5 - 2 * found.log_likelihood) == ranking[0].AIC
+    assert pytest.approx(2 * 5 - 2 * found.log_likelihood) == found.information_criteria["AIC"]
+    assert found.information_criteria["AIC"] < plain.information_criteria["AIC"]
 
 
 def test_what_the_cells_read(paper):
@@ -184,12 +182,21 @@ def test_every_parameter_reaches_the_readings(paper):
         assert np.all(size > 0), name
 
 
-def test_which_rows_lie_beyond_the_data(paper):
-    """By hand, in base tension and in either component of the tip force."""
-    data = Bench(np.array([[10.0], [40.0]]), (None,), np.array([[(0.0, -1.0)], [(0.0, -1.0)]]))
-    force = np.array([[(0.0, -1.0)], [(0.0, -1.1)], [(0.1, -1.0)], [(0.0, -1.0)]])
-    wanted = Bench(np.array([[20.0], [20.0], [20.0], [41.0]]), (None,), force)
-    assert beyond_the_data(wanted, BenchModel(paper, (data,), 16)).tolist() == [False, True, True, True]
+def test_which_rows_lie_beyond_the_data():
+    """By hand, in base tension and in either component of a force on the tip or at 60 mm; a pulley test holds none."""
+
+    def rows(**columns):
+        return Measurements.from_columns("rows", **columns, tip_angle=np.zeros(len(columns["base_tension"])))
+
+    data = rows(base_tension=[10.0, 40.0], tip_force_y=[-1.0, -1.0], **{"force_y@60mm": [0.0, -2.0]})
+    wanted = {"base_tension": [20.0] * 5 + [41.0], "tip_force_y": [-1.0, -1.1, *[-1.0] * 4]}
+    wanted |= {"tip_force_x": [0.0, 0.0, 0.1, 0.0, 0.0, 0.0], "force_y@6cm": [-1.0, 0.0, 0.0, -2.1, 0.1, 0.0]}
+    assert beyond_the_data(rows(**wanted), [data]).tolist() == [False, True, True, True, True, True]
+    pulley = Measurements.from_columns("pulley", weight=[1.0], wrap_angle=[1.0], pulling_tension=[1.5])
+    assert beyond_the_data(rows(base_tension=[10.0]), [pulley]).tolist() == [True]
+    assert beyond_the_data(rows(base_tension=[10.0]), [rows(base_tension=[5.0, 20.0])]).tolist() == [False]
+    pair = rows(base_tension=[10.0, 10.0], base_tension_2=[0.0, 1.0])
+    assert beyond_the_data(pair, [rows(base_tension=[5.0, 20.0])]).tolist() == [False, True]
 
 
 def test_which_rows_lie_on_one_curve(paper):
@@ -226,30 +233,20 @@ def test_units_of_parameters_and_of_their_products(name, unit):
 
 
 def test_noise_follows_its_readings():
-    """A column that sets the tendons of one table and is read in another; a number for each reading, one left out."""
+    """A column that sets the tendons of one table and is read in another."""
     lengths = {"displacement": [1e-3, 2e-3, 3e-3]}
     driven = Measurements.from_columns("driven", **lengths, tip_angle=[0.1, 0.2, 0.3])
     pulled = Measurements.from_columns("pulled", base_tension=[5.0, 10.0, 15.0], **lengths)
     predicted, of_base = split_noise({"displacement": 1e-4}, [driven, pulled])
     assert predicted == of_base == {"displacement": 1e-4}
-    (left,), _ = without([pulled], [2])
-    (group,) = groups_of([left], BenchModel(paper_body("exact"), (bench_of(left, paper_body("exact")),), 16))
-    found = noise_of([group], {"displacement": np.array([1e-4, 2e-4, 3e-4])}, {"pulled": pulled})
-    np.testing.assert_array_equal(found["pulled: displacement"], [1e-4, 3e-4])
+    (group,) = groups_of([pulled], BenchModel(paper_body("exact"), (bench_of(pulled, paper_body("exact")),), 16))
+    assert noise_of([group], predicted) == {"pulled: displacement": 1e-4}
+    for given in (np.array([1e-4, 2e-4]), [1e-4], -1.0, np.nan):
+        said = refused(cddf.fit, paper_body("exact"), pulled, noise={"displacement": given})
+        assert "noise of displacement must be one standard deviation in m, 0 or more" in said
 
 
-def test_trials_are_counted_without_pulley_tests():
-    """The slack offset of trial 2 belongs to the second trial of the loops, whichever table comes first."""
-    pulley = Measurements.from_columns("pulley", weight=[1.0], wrap_angle=[1.0], pulling_tension=[1.5])
-    columns = {"displacement": [1e-3, 2e-3, 1e-3, 2e-3], "tip_angle": [0.1, 0.2, 0.1, 0.2], "step": [0, 1, 0, 1]}
-    loops = Measurements.from_columns("loops", **columns, trial=[1, 1, 2, 2])
-    given = True, "rest", ("slack_offset_trial_2",), {"displacement": 0.0}, 4, cddf.BenchSetting()
-    courses, _ = courses_of(paper_body("exact"), [pulley, loops], *given)
-    assert courses[1] is not None
-    assert np.asarray(courses[1][0].number).tolist() == [1, 2]
-
-
-@pytest.mark.parametrize("name", ["tip_gain_3", "base_gain_0", "slack_offset_3_trial_1"])
+@pytest.mark.parametrize("name", ["tip_gain_3", "base_gain_0"])
 def test_parameters_of_tendons_that_are_not_there(name):
     table = Measurements.from_columns("bench", base_tension=[5.0], base_tension_2=[0.0], tip_angle=[0.1])
     said = refused(cddf.fit, paper_body("exact", num_tendons=2), table, ("friction_coefficient", name))

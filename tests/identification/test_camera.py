@@ -67,10 +67,8 @@ def test_readings_out_of_reach_are_refused_at_once():
     with pytest.raises(InputError) as error:
         cddf.fit(paper_body("exact"), far_away())
     assert str(error.value).startswith("fit: simulated: row 1, tip_x, tip_y: the tip is ")
-    assert "(6 of 6 rows); check the unit, or fit the pose of its frame too: --free friction_coefficient" in str(
-        error.value
-    )
-    assert "leave the row out" not in str(error.value)
+    assert "(6 of 6 rows); check the unit, leave the row out" in str(error.value)
+    assert "or fit the pose of its frame too: add camera to the parameters that are fitted" in str(error.value)
 
 
 class NotRefusedError(Exception):

@@ -12,8 +12,6 @@ from refusals import refused
 
 import cddf_jax as cddf
 from cddf_jax.identification.course import course_of, paths_of
-from cddf_jax.identification.fit_inputs import courses_of
-from cddf_jax.identification.parameters import BenchSetting, slack_offsets
 from cddf_jax.measurements.table import Measurements
 
 D, MU, MODULUS, COMPLIANCE = 0.009, 0.3, 1.4e6, 2e-5  # m, 1, Pa, m/N
@@ -93,7 +91,7 @@ def test_what_is_not_identified_may_be_predicted(by_angles):
     """As `test_predictions_along_a_loop` of tensions, by displacement."""
     path = 1.05 * LOOP
     truth = cddf.trace(robot(), [cddf.Displacement(path)]).tip_angle
-    predicted = by_angles.predict("tip_angle", displacement=path + 1e-3, history=True)
+    predicted = by_angles.predict("tip_angle", {"displacement": path + 1e-3}, history=True)
     assert np.all(np.abs(predicted.value - truth) < 3 * predicted.half_width)
     assert np.all(predicted.half_width < 2 * ANGLE)
     assert predicted.extrapolated.tolist() == (path > np.max(LOOP)).tolist()
@@ -104,7 +102,7 @@ def test_tip_angles_hold_the_product_of_modulus_and_compliance(by_angles):
     found = by_angles
     assert found.status["youngs_modulus"] == found.status["outside_compliance"] == "not identified"
     assert found.status["friction_coefficient"] == found.status["slack_offset"] == "identified"
-    assert refused(found.predict, "tip_angle") == "predict: give either base_tension or displacement, of all tendons"
+    assert "predict: no column 'base_tension'" in refused(found.predict, "tip_angle", {"tip_force_y": -1.0})
     (product,) = (line for line in found.verdict if line.startswith("outside_compliance * youngs_modulus"))
     assert "identified, although its factors are not" in product
     value = found.value["youngs_modulus"] * found.value["outside_compliance"]
@@ -201,7 +199,7 @@ def test_backlash_holds_a_tendon_until_the_motor_has_come_back_by_it():
     here = course(path, step=np.arange(7))
 
     def followed(play):
-        return here.true_displacement({"backlash": play}, jnp.asarray(here.readings), jnp.zeros((1, 1)))[0, :7, 0]
+        return here.true_displacement({"backlash": play}, jnp.asarray(here.readings), jnp.zeros(1))[0, :7, 0]
 
     np.testing.assert_allclose(followed(0.3), behind, atol=1e-12)
     np.testing.assert_allclose(jax.jacfwd(followed)(0.3), [0, 0, 0, 0, 1, 1, 0], atol=1e-12)  # where it is dragged back
@@ -212,44 +210,10 @@ def test_a_lag_shows_the_motor_as_it_was_before():
     here = course(path, time=time)
 
     def shown(lag):
-        return here.true_displacement({"lag": lag}, jnp.asarray(here.readings), jnp.zeros((1, 1)))[0, :5, 0]
+        return here.true_displacement({"lag": lag}, jnp.asarray(here.readings), jnp.zeros(1))[0, :5, 0]
 
     np.testing.assert_allclose(shown(0.25), [0.0, 0.75, 2.5, 3.0, 0.75], atol=1e-12)  # by hand
     np.testing.assert_allclose(jax.jacfwd(shown)(0.25), [0.0, -1.0, -2.0, 0.0, 3.0], atol=1e-12)  # less the slope
-
-
-def test_slack_offsets_of_trials():
-    """By hand; 0 stands for a trial without a number."""
-    known = {"slack_offset": 1.0, "slack_offset_2": 2.0, "slack_offset_trial_1": 3.0, "slack_offset_2_trial_3": 4.0}
-    assert slack_offsets(known, 2, jnp.array([0, 1, 2, 3])).tolist() == [[1, 2], [3, 3], [1, 2], [1, 4]]
-    pair = Measurements.from_columns(
-        "bench", displacement=[1.0, 2.0], displacement_2=[3.0, 5.0], tip_angle=[0.0, 0.0], step=[0, 1]
-    )
-    here = course_of(pair, {"displacement": 0.0})[0]
-    found = here.true_displacement({}, jnp.asarray(here.readings), slack_offsets(known, 2, jnp.array([0])))
-    assert found[0, :2].tolist() == [[0, 1], [1, 3]]  # those of each tendon are taken off
-    one = Measurements.from_columns("bench", displacement=[0.0, 1e-3], tip_angle=[0.0, 0.1], trial=[0, 0], step=[0, 1])
-    plain = Measurements.from_columns("bench", displacement=[0.0, 1e-3], tip_angle=[0.0, 0.1], step=[0, 1])
-    for tables in ([one, one], [plain, one]):  # a table without trials is one
-        assert refused(cddf.fit, guess(), tables, ["slack_offset_trial_3"]) == (
-            "fit: slack_offset_trial_3 belongs to trial 3, but the tables have 2; number the trials of all tables from "
-            "1, in their order"
-        )
-    courses, _ = courses_of(guess(), [plain, one], None, "rest", ["slack_offset_trial_1"], {}, 4, BenchSetting())
-    assert [np.asarray(course[0].number).tolist() for course in courses if course] == [[1], [2]]
-
-
-@pytest.mark.slow
-def test_a_slack_offset_may_belong_to_a_trial():
-    """Two loops of one bench, whose encoder was set to zero anew: the numbers that the data were made with."""
-    history, offsets = cddf.trace(robot(), [cddf.Displacement(LOOP)]), np.repeat([1e-3, 1.4e-3], LOOP.size)
-    columns = {"tip_angle": np.tile(history.tip_angle, 2), "displacement": np.tile(LOOP, 2) + offsets}
-    order = {"trial": np.repeat([0, 1], LOOP.size), "step": np.tile(np.arange(LOOP.size), 2)}
-    table = Measurements.from_columns("simulated", **columns, **order)
-    free = ["friction_coefficient", "outside_compliance", "slack_offset", "slack_offset_trial_2"]
-    found = cddf.fit(replace(guess(), youngs_modulus=MODULUS), table, free, noise=KNOWN)
-    assert [found.value[name] for name in free] == pytest.approx([MU, COMPLIANCE, 1e-3, 1.4e-3], rel=1e-5)
-    assert set(found.status.values()) <= {"identified", "fixed"}
 
 
 def test_trials_stay_where_each_row_is_pulled_from_rest():
@@ -333,7 +297,7 @@ def test_how_rows_ended_is_the_same_with_and_without_derivatives():
     [
         (
             {"before": 5.0},
-            "simulated: before holds tensions, but displacements set the tendons; begin each",
+            "simulated: before is the base tension of an only tendon; begin each trial with a row of the",
         ),
         ({"free": ["lag"]}, "simulated: lag needs the column time; add it, or do not fit lag"),
         ({"noise": {"displacement": -1.0}}, "noise of displacement must be one standard deviation in m, 0 or more"),

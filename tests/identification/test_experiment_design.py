@@ -166,6 +166,8 @@ def test_refusals(change, message):
 def test_a_candidate_that_reads_nothing():
     with pytest.raises(InputError, match="noise must name what is read"):
         Candidate("x", {"base_tension": 1.0}, {})
+    with pytest.raises(InputError, match="with standard deviations > 0"):
+        Candidate("x", {"base_tension": 1.0}, {"tip_angle": cddf.Noise(0.1, 0.01)})  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.slow

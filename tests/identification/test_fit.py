@@ -242,11 +242,14 @@ def test_a_prediction_that_the_data_do_not_hold_has_no_band(pulley_alone):
             ("tip_slope", [10.0]),
             "'tip_slope' is not a reading; there are displacement, tip_angle, tip_axis_x, tip_axis_y",
         ),
-        (("tip_angle", [-5.0]), "base_tension must be 0 N or more, got -5; a tendon only pulls"),
-        (("tip_angle", [np.nan]), "base_tension must hold finite numbers"),
-        (("tip_angle", [5.0], (0.0, np.inf)), "tip_force must hold finite numbers"),
-        (("tip_angle", [[10.0, 5.0]]), r"needs base_tension \(rows,\) or \(rows, 1\)"),
-        (("tip_angle", [10.0, 20.0], [1.0, 2.0, 3.0, 4.0]), r"tip_force \(2,\) or \(rows, 2\)"),
+        (("tip_angle", [-5.0]), "row 1, column base_tension: must be 0 or more, got -5 N"),
+        (("tip_angle", [np.nan]), "row 1, column base_tension: must be finite"),
+        (("tip_angle", {"base_tension": 5.0, "tip_force_y": np.inf}), "row 1, column tip_force_y: must be finite"),
+        (("tip_angle", [[10.0, 5.0]]), r"needs base tensions \(rows,\) or \(rows, 1\), got \(1, 2\)"),
+        (
+            ("tip_angle", {"base_tension": [1.0, 2.0], "tip_force_y": [1.0] * 3}),
+            "base_tension must hold 1 or 3 numbers",
+        ),
     ],
 )
 def test_invalid_conditions(pulley_alone, arguments, message):

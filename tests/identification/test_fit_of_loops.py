@@ -24,7 +24,7 @@ from cddf_jax.errors import InputError
 from cddf_jax.identification.course import course_of, paths_of
 from cddf_jax.identification.experiment_design import Candidate
 from cddf_jax.identification.random_effects import errors_of_base
-from cddf_jax.identification.tension_before import Past, first_guesses, pasts_of
+from cddf_jax.identification.tension_before import pasts_of
 from cddf_jax.measurements.jitter import turns_of, without_jitter
 from cddf_jax.measurements.table import Measurements
 from cddf_jax.reports.fit_report import fit_as_dict, fit_as_markdown
@@ -360,34 +360,10 @@ def test_the_course_of_several_tendons():
     assert course.stays == (False,)
     both = course_of(pair_table(**{"tip_force_y": force, "force_y@60mm": np.full(20, -0.2)}))[0]
     assert both.stays == (False, True)
-    with pytest.raises(InputError, match="pair: before holds tensions of 1 tendons, but there are 2 columns of"):
+    with pytest.raises(InputError, match="pair: before is the base tension of an only tendon; begin each trial with a"):
         course_of(pair_table(), past=pasts_of([1], 60.0, ())[0])
     with pytest.raises(InputError, match="fit: short_steps must be a whole number of 2 or more, got 1"):
         cddf.fit(PAIR, pair_table(), short_steps=1)
-
-
-def test_what_came_before_several_tendons():
-    """By trial and tendon. A tension that is not given is that of the first row; a trial from rest begins with none."""
-    trials = pair_table(trial=np.repeat([1, 2], 10))
-    (past,) = pasts_of([2], ["rest", (60.0, 5.0)], ["before_2", "before_tendon_2_1"], 2)
-    assert past.parameters == (("", "before_tendon_2_1"), ("before_2", ""))
-    np.testing.assert_array_equal(past.stated, [[np.nan, np.nan], [60.0, 5.0]])
-    course = course_of(trials, past=past)[0]
-    np.testing.assert_allclose(course.path({"before_2": 70.0, "before_tendon_2_1": 40.0})[:, 0], [[10, 40], [70, 5]])
-    assert course.past_in_words == ["10 N and fitted (before_tendon_2_1)", "fitted (before_2) and 5 N"]
-    known = course_of(trials, past=pasts_of([2], ["rest", (60.0, 5.0)], [], 2)[0])[0]
-    assert known.past_in_words == ["rest", "60 N and 5 N"]
-    np.testing.assert_allclose(known.path({})[:, 0], [[0, 0], [60, 5]])
-    assert known.pulled[10]  # 64 N are more than 60 N
-    second = Past(np.array([[60.0, 5.0]]), (("before_2", ""),))
-    assert first_guesses([(second, np.array([[64.0, 20.0]]))]) == {"before_2": (60.0, 0.0)}
-    for before, free, message in (
-        (60.0, (), r"base tensions of 2 tendons before the first row, N, in a list of trials such as .*, got 60.0"),
-        ([(60.0, -1.0)], (), "before must be .rest. or the base tensions of 2 tendons"),
-        ("rest", ["before_tendon_3"], "before_tendon_3 belongs to tendon 3, but the body has 2"),
-    ):
-        with pytest.raises(InputError, match=message):
-            pasts_of([1], before, free, 2)  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.slow
@@ -423,15 +399,14 @@ def heavy():
 
 
 @pytest.mark.slow
-def test_what_two_tendons_had_before():
+def test_a_row_without_readings_says_what_two_tendons_had_before():
     """As a `trace` with the same increments that begins there."""
     path = np.stack([[45.0, 75, 15], np.full(3, 20.0)], axis=1)
     history = cddf.trace(PAIR, path, before=[62.0, 20.0], **AS_FITTED, throw=False)
-    columns = {"base_tension": path[:, 0], "base_tension_2": path[:, 1], "step": range(3)}
-    table = Measurements.from_columns("pair", **columns, tip_tension=np.zeros(3), tip_angle=np.zeros(3))
-    course = course_of(table, past=pasts_of([1], "rest", ["before"], 2)[0])[0]
-    assert course.past_in_words == ["fitted (before) and 20 N"]
-    shown = bench_of(table, PAIR, course=course).predict(PAIR, {"before": np.asarray(62.0)}, 12)
+    columns = {"base_tension": [62.0, *path[:, 0]], "base_tension_2": np.full(4, 20.0), "step": range(4)}
+    read = {name: [np.nan, 0.0, 0.0, 0.0] for name in ("tip_tension", "tip_angle")}
+    table = Measurements.from_columns("pair", **columns, **read)
+    shown = bench_of(table, PAIR, course=course_of(table)[0]).predict(PAIR, {}, 12)
     np.testing.assert_allclose(shown["tip_tension"], history.tip_tension[:, 0], rtol=1e-9)
     np.testing.assert_allclose(shown["tip_angle"], history.tip_angle, atol=1e-9)
 

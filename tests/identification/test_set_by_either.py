@@ -50,7 +50,7 @@ def test_some_base_tensions_bring_the_modulus(found):
 
 @pytest.mark.slow
 def test_predictions_know_both_ranges(found):
-    by_length = found.predict("tip_angle", displacement=[0.005, 0.012, 0.02], history=True)
+    by_length = found.predict("tip_angle", {"displacement": [0.005, 0.012, 0.02]}, history=True)
     assert by_length.extrapolated.tolist() == [False, False, True]  # the encoder read up to 13 mm
     largest = np.nanmax(table()["base_tension"])
     assert found.predict("tip_angle", [largest, 1.1 * largest]).extrapolated.tolist() == [False, True]

@@ -1,8 +1,5 @@
 """When the rows of a table cannot determine parameters, from the statuses of their solves."""
 
-from types import SimpleNamespace
-from typing import Any
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -10,7 +7,6 @@ from bodies import paper_body
 
 import cddf_jax as cddf
 from cddf_jax.identification.bench import Bench, BenchModel, Evaluation
-from cddf_jax.identification.fit import _without_contradicted
 from cddf_jax.identification.verdict import SolveResults, doubt, solve_results
 from cddf_jax.measurements.table import Measurements
 
@@ -58,16 +54,3 @@ def test_all_contradicted_rows_are_named():
     one, other = solves(direction_contradicted=3), solves(direction_contradicted=1)
     assert "in 3 of 9 rows: rows 3-5 of bench; " in doubt([one])
     assert "in 4 of 18 rows: rows 3-5 of bench (1) and row 3 of bench (2); " in doubt([one, other])
-
-
-def test_rows_are_left_out_until_the_fit_contradicts_none():
-    """A stand-in for a fit contradicts rows 3 and 5, then 2, then none."""
-    asked = []
-
-    def fit(leave_out) -> Any:
-        asked.append(leave_out)
-        rows = [[3, 5], [2], []][len(asked) - 1]
-        return SimpleNamespace(contradicted={"bench": rows} if rows else {})
-
-    assert _without_contradicted(fit).contradicted == {}
-    assert asked == [{}, {"bench": [3, 5]}, {"bench": [3, 5, 2]}]

@@ -24,7 +24,7 @@ BeforeOption = Annotated[
     str | None,
     typer.Option(
         help='With a history, the largest base tension before the first row, such as "75 N", or one for each trial, '
-        'such as "rest, 75 N"; with several tendons "60 N / 20 N". To fit it: --free before.',
+        'such as "rest, 75 N". To fit it: --free before.',
         show_default="rest",
     ),
 ]

@@ -38,20 +38,14 @@ def _of_parameter(name: str, text: str, option: str) -> float:
 
 
 def read_before(text: str | None) -> Before:
-    """ "75 N" for all trials, or one for each: "rest, 75 N". Tensions of several tendons: "60 N / 20 N"."""
-    entries: list[One] = [_tensions(part.strip()) for part in (text or REST).split(",")]
-    return entries if len(entries) > 1 or isinstance(entries[0], tuple) else entries[0]
-
-
-def _tensions(text: str) -> One:
-    if text == REST:
-        return REST
-    found = [quantity(part.strip(), "force", "--before") for part in text.split("/")]
-    return tuple(found) if len(found) > 1 else found[0]
+    """ "75 N" for all trials, or one for each: "rest, 75 N"."""
+    parts = [part.strip() for part in (text or REST).split(",")]
+    entries: list[One] = [REST if part == REST else quantity(part, "force", "--before") for part in parts]
+    return entries if len(entries) > 1 else entries[0]
 
 
 def read_leave_out(texts: Sequence[str] | None) -> str | dict[str, str]:
-    """ "8, 14, 20-23" or "contradicted"; of several files "run_2.csv=8, 14"."""
+    """ "8, 14, 20-23"; of several files "run_2.csv=8, 14"."""
     if any("=" in text for text in texts or ()):
         return read_all(texts, "--leave-out", LEAVE_OUT, lambda _, rows: rows)
     return ", ".join(texts or ())

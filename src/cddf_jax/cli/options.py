@@ -120,8 +120,7 @@ LeaveOutOption = Annotated[
     list[str] | None,
     typer.Option(
         help='Rows whose readings do not count, by their numbers in the file: "8, 14, 20-23", of several files '
-        '"run_2.csv=8, 14". With a history they stay as steps of the path. "contradicted": all rows that the fit '
-        "contradicts.",
+        '"run_2.csv=8, 14". With a history they stay as steps of the path.',
         show_default="none",
     ),
 ]

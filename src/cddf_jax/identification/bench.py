@@ -43,7 +43,6 @@ from .parameters import (
     BenchSetting,
     Parameters,
     of_all_tendons,
-    slack_offsets,
     turn_of,
     with_deviation,
     with_parameters,
@@ -160,13 +159,6 @@ class Bench(eqx.Module):
         return not any(np.any(np.asarray(stated) < 0) for stated in self.direction if stated is not None)
 
     @property
-    def by_length(self) -> np.ndarray:
-        """(rows, tendons), whether a displacement sets the tendon."""
-        if self.course is None:
-            return np.zeros(np.shape(self.actuation), bool)
-        return np.asarray(self.course.set_by_length)[np.asarray(self.course.trial), np.asarray(self.course.step)]
-
-    @property
     def in_order(self) -> bool | None:
         """Whether the rows are followed in their order; None: each from rest."""
         if self.course is None:
@@ -179,17 +171,13 @@ class Bench(eqx.Module):
         least = 2 if loads is None else loads.components, 2 if forces is None else forces.shape[-1]
         return max(manipulator.components, *least)
 
-    def in_space(self, manipulator: Manipulator) -> bool:
-        """Whether the rows are solved in space; static."""
-        return self.components(manipulator) == 3
-
     def one_by_one(self, manipulator: Manipulator) -> bool:
         """Whether rows are solved one after the other; static.
 
         Under loads in space all rows of a batch would wait for the slowest one.
         """
         loaded = self.forces is not None or self.setting.loads is not None
-        return loaded and self.in_space(manipulator)
+        return loaded and self.components(manipulator) == 3
 
     def shown(self, manipulator: Manipulator, parameters: Parameters, nodes: int) -> Shown:
         """What instruments without errors show of the rows, each in equilibrium."""
@@ -207,8 +195,7 @@ class Bench(eqx.Module):
             course, readings = self.course, self.course.path(parameters)
             tension = _true_tension(parameters, readings, of_set_ones)
             if any(course.by_length):
-                offset = self._slack_offsets(parameters, manipulator.num_tendons, jnp.arange(len(readings)))
-                displacement = course.true_displacement(parameters, readings, offset[:, set_ones])
+                displacement = course.true_displacement(parameters, readings, of_set_ones("slack_offset"))
                 tension = jnp.where(course.set_by_length, displacement, tension)
             of_trial = None if deviation is None else deviation[self.course.first_row]
             loads_with = partial(self.setting.loads_with, parameters=parameters, components=components)
@@ -249,11 +236,6 @@ class Bench(eqx.Module):
             shown = shown._replace(tip_position=look(shown.tip_position), tip_axis=axis, markers=markers)
         return {column: self._reading(shown, column, parameters) for column in columns}
 
-    def _slack_offsets(self, parameters: Parameters, tendons: int, trial: Array) -> Float[Array, "n tendons"]:
-        """Those of each tendon in trials of the course, m."""
-        numbers = None if self.course is None else self.course.number
-        return slack_offsets(parameters, tendons, 0 * trial if numbers is None else jnp.asarray(numbers)[trial])
-
     def _reading(self, shown: Shown, column: str, parameters: Parameters) -> Array:
         kind = READINGS[kind_of(column)]
         values = kind.of(shown)
@@ -262,8 +244,7 @@ class Bench(eqx.Module):
             values = gain * (values - parameters.get("pretension", 0.0)) + zero
         if kind.zero:
             if kind.per_tendon:
-                trial = jnp.zeros(len(values), int) if self.course is None else jnp.asarray(self.course.trial)
-                values = values + self._slack_offsets(parameters, values.shape[-1], trial)
+                values = values + of_all_tendons(parameters, kind.zero, values.shape[-1])
             else:
                 values = values + parameters.get(kind.zero, 0.0)
         if marker := marker_column(column):
@@ -335,11 +316,10 @@ def _with_slack_ones(shown: Shown, tendons: Int[np.ndarray | Array, " set"], cou
     def spread(values: Array, otherwise: float | bool) -> Array:
         return jnp.full_like(values, otherwise, shape=(*values.shape[:-1], count)).at[..., tendons].set(values)
 
-    against = shown.direction_contradicted
     return shown._replace(
         tendon_displacement=spread(shown.tendon_displacement, jnp.nan),
         tip_tension=spread(shown.tip_tension, 0.0),
-        direction_contradicted=None if against is None else spread(against, False),
+        direction_contradicted=spread(shown.direction_contradicted, False),
     )
 
 
@@ -485,7 +465,7 @@ def experiment_of(
 def _check_body(table: Measurements, bench: Bench, manipulator: Manipulator, *, zero_is_free: bool) -> None:
     """Refuse a body without weight under gravity, and columns or loads that do not fit the plane or space."""
     check_loads(manipulator, bench.setting.loads)
-    if bench.in_space(manipulator):
+    if bench.components(manipulator) == 3:
         with within("loads of three components", ValueError):
             manipulator.with_angles()
         if "tip_angle" in bench.columns:

@@ -1,6 +1,6 @@
 """The frame in which a camera sees tip and markers: where the search for its pose starts, and when it must be wrong."""
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -11,13 +11,12 @@ from ..estimation.remarks import UNEXPLAINED
 from ..measurements.markers import registered
 from ..robot.manipulator import Manipulator
 from .bench import Bench, BenchModel, Group
-from .parameters import CAMERA, TRIALS, camera_parameters, stiffness_parameter
+from .parameters import CAMERA, camera_parameters, stiffness_parameter
 
 FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)  # of the stiffness at the start, for which the pose is found
 LEAST_POINTS = 3  # to find a pose
 SPARE = 0.1  # of a length: it may be measured badly, and what is tracked may sit beyond the tip
 STRETCHED = 2.0  # times the length, which a body that stretches does not reach
-MOST = 0.5  # of the rows; with more out of reach, the frame is unknown
 
 
 class Tracked(NamedTuple):
@@ -70,20 +69,13 @@ def check_reach(model: BenchModel, groups: Sequence[Group], free: Collection[str
         if not len(far):
             continue
         i = int(far[0])
-        single = "" if len(far) > MOST * len(table) else "leave the row out (leave_out, --leave-out), "
         raise InputError(
             f"{point.what} is {1e3 * distance[i]:.0f} mm or more from the base, but a body of {1e3 * length:.0f} mm "
             f"reaches {1e3 * reach:.0f} mm ({len(far)} of {len(table)} rows)",
             where=f"{table.name}: {table.place(i)}, {', '.join(group.column for group in point.axes.values())}",
-            remedy=f"check the unit, {single}or {_with_pose(free)}",
+            remedy="check the unit, leave the row out (leave_out, --leave-out), or fit the pose of its frame too: add "
+            "camera to the parameters that are fitted (free, --free)",
         )
-
-
-def _with_pose(free: Iterable[str]) -> str:
-    """How to fit the pose of the camera with the parameters that are fitted already."""
-    own = sorted({name for name in free if not name.startswith((TRIALS, CAMERA))})
-    names = [*own, CAMERA]
-    return f"fit the pose of its frame too: {' '.join(f'--free {name}' for name in names)} (free={names} in Python)"
 
 
 def unexplained_pose(statistics: LeastSquaresFit, groups: Sequence[Group], manipulator: Manipulator) -> str:

@@ -54,7 +54,7 @@ class Shown(NamedTuple):
     tip_position: Float[Array, "rows components"]
     tip_axis: Float[Array, "rows components"]
     status: Int[Array, " rows"]
-    direction_contradicted: Bool[Array, "rows tendons"] | None  # None along a path, which contradicts nothing
+    direction_contradicted: Bool[Array, "rows tendons"]  # along a path nothing is
     markers: Float[Array, "rows markers components"] | None = None
 
 
@@ -77,7 +77,6 @@ class Course(eqx.Module):
     by_length: tuple[bool, ...] = eqx.field(default=(False,), static=True)  # whether displacements set a tendon at all
     by_tension: Bool[np.ndarray | Array, "trials steps tendons"] | None = None  # where tensions set it; None: see above
     time: Float[np.ndarray | Array, "trials steps"] | None = None  # s, where the body comes after the motors
-    number: Int[np.ndarray | Array, " trials"] | None = None  # of each trial among those of all tables, from 1
 
     @property
     def turns(self) -> bool:
@@ -140,9 +139,9 @@ class Course(eqx.Module):
     def true_displacement(self, parameters: Mapping[str, ArrayLike], readings: Array, offset: Array) -> Array:
         """(trials, steps, tendons), how far each tendon is pulled in, m, from what the encoders read.
 
-        `offset`: the slack offset of each tendon in each trial, m.
+        `offset`: the slack offset of each tendon, m.
         """
-        pulled = readings - offset[:, None]
+        pulled = readings - offset
         if "backlash" in parameters:
             pulled = jax.vmap(partial(_with_backlash, parameters["backlash"]))(pulled)
         if self.time is not None:
@@ -155,8 +154,8 @@ class Course(eqx.Module):
     def pulled(self) -> np.ndarray:
         """(rows,), whether the tension of tendon 1 rose towards the row."""
         readings = np.asarray(self.readings)[..., 0]
-        stated = np.zeros(len(readings)) if self.past is None else np.asarray(self.past.stated)[:, 0]
-        released = [bool(names[0]) for names in self.past.parameters] if self.past is not None else False
+        stated = np.zeros(len(readings)) if self.past is None else np.asarray(self.past.stated)
+        released = [bool(name) for name in self.past.parameters] if self.past is not None else False
         first = (readings[:, 0] >= stated) & ~np.array(released)
         return np.column_stack([first, np.diff(readings, axis=1) > 0])[self.trial, self.step]
 
@@ -199,7 +198,7 @@ class Course(eqx.Module):
                 found = self._in_increments(here, tension, by_tension, forces, loads_with, nodes)
             pulled, tips = (x.reshape(tension.shape) for x in (found.tendon_displacement, found.tip_tension))
             tip = found.tip_angle, found.tip_position, found.tip_axis
-            return Shown(pulled, tips, *tip, found.status, None, markers_on(found))
+            return Shown(pulled, tips, *tip, found.status, jnp.zeros(tips.shape, bool), markers_on(found))
 
         forces = None if self.forces is None else jnp.asarray(self.forces)
         by_tension = None if self.by_tension is None else jnp.asarray(self.by_tension)
@@ -211,8 +210,7 @@ class Course(eqx.Module):
         else:  # increments that need not be cut cost nothing one by one; in a batch they would
             every = jax.lax.map(lambda each: one(*each), trials)
         step = self.step + (self.past is not None)
-        found = jax.tree.map(lambda x: x[self.trial, step], every)
-        return found._replace(direction_contradicted=jnp.zeros(found.tip_tension.shape, bool))
+        return jax.tree.map(lambda x: x[self.trial, step], every)
 
     def _driven(self, path: Array) -> list[Array | Displacement]:
         """The path of each tendon as `trace` takes it."""
@@ -305,7 +303,6 @@ def course_of(
     paths: Sequence[np.ndarray] | None = None,
     stepped: bool = False,
     timed: bool = False,
-    numbered_from: int | None = None,
 ) -> tuple[Course, dict[str, Steady]]:
     """The rows of a table as steps of paths, and by column what was set without the jitter of its readings.
 
@@ -318,12 +315,10 @@ def course_of(
         paths: the rows of each path; None: those of each trial.
         stepped: whether loads of all rows, or friction besides that on the body, rule out an exact answer.
         timed: whether the body may come after motors, so that the times of the rows count.
-        numbered_from: the number of the first trial among those of all tables; None where none is asked for, so that
-            predictions take the same program.
 
     Raises:
         InputError: for a column `direction` of a single tendon that contradicts the order of the rows, a largest
-            tension before a trial that is below that of its first row, or a past of another number of tendons.
+            tension before a trial that is below that of its first row, or a past of several tendons.
     """
     force, tendons = forces_of(table.columns, len(table))[1], len(set_by(table.columns))
     rows_of_paths = table.trials if paths is None else paths
@@ -347,7 +342,8 @@ def course_of(
     short = None if alone and not stepped else short_steps
     readings, acting, flags = (_stacked([own[rows] for rows in kept], short) for own in (given, force, table.by_length))
     first = np.array([rows[0] for rows in kept])
-    past = past and past.followed_by(readings[:, 0], [f"{table.name}: {table.place(int(row))}" for row in first])
+    if past is not None:
+        past.check(readings[:, 0, 0], [f"{table.name}: {table.place(int(row))}" for row in first])
     stays = ()
     if np.any(acting):  # that of a single row grows with the pull
         stays = tuple(((readings.shape[1] > 1) & np.all(acting == acting[:, :1], axis=(0, 1, 3))).tolist())
@@ -364,25 +360,18 @@ def course_of(
         by_length=by_length,
         by_tension=~flags if by_both else None,
         time=_times(table, rows_of_paths, readings.shape[1]) if timed else None,
-        number=None if numbered_from is None else numbered_from + table.trial[first],
     )
     return course, steady
 
 
 def _checked(table: Measurements, past: Past | None) -> Past | None:
-    """The past of a table, None for rest; it must fit what sets the tendons."""
+    """The past of a table, None for rest."""
     if past is None or past.at_rest:
         return None
-    if is_driven_by_length(table):
+    if is_driven_by_length(table) or len(set_by(table.columns)) > 1:
         raise InputError(
-            f"{table.name}: before holds tensions, but displacements set the tendons; begin each trial with a row of "
-            "the displacements before it, whose readings may be empty"
-        )
-    tendons = len(set_by(table.columns))
-    if np.shape(past.stated)[1] != tendons:
-        raise InputError(
-            f"{table.name}: before holds tensions of {np.shape(past.stated)[1]} tendons, but there are "
-            f"{tendons} columns of base tensions; give one tension for each column"
+            f"{table.name}: before is the base tension of an only tendon; begin each trial with a row of the "
+            "displacements or tensions before it, whose readings may be empty"
         )
     return past
 
@@ -437,10 +426,10 @@ def _check_directions(table: Measurements, rows: np.ndarray, steady: Steady, pas
     (column,) = set_by(table.columns)
     dimension, by_length = dimension_of(column), is_driven_by_length(table)
     tension = steady.tension[rows]
-    before = np.append(0.0 if past is None else np.nan_to_num(past.stated[trial, 0]), tension[:-1])
+    before = np.append(0.0 if past is None else past.stated[trial], tension[:-1])
     moved = tension - before
     sure = np.abs(moved) > max(steady.least_turn, NO_STEP * np.max(tension))
-    sure[0] &= past is None or not any(past.parameters[trial])  # a fitted tension decides the way to the first row
+    sure[0] &= past is None or not past.parameters[trial]  # a fitted tension decides the way to the first row
     sure[0] &= not by_length  # where a tendon begins to pull is not known
     wrong = np.flatnonzero(sure & (moved * table["direction"][rows] < 0))
     if wrong.size:

@@ -1,6 +1,5 @@
 """The fitted model beside the rows of its tables, for drawing: curves with bands, and where there are none."""
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -62,7 +61,6 @@ def model_loops(fit: Fit, group: Group) -> list[ModelCurve]:
     table = Measurements("curve", columns, np.arange(path.size))
     dense, _ = course_of(table, {column: 0.0}, course.past, timed=course.time is not None)
     own = None if bench.trial is None else np.asarray(bench.trial)[np.asarray(course.first_row)][trial]
-    dense = replace(dense, number=course.number)
     rows = Bench(path[:, None], (None,), trial=own, course=dense, setting=bench.setting)
     shown = rows.evaluate(fit.model.manipulator, fit.parameters, fit.model.nodes)
     value, band = shown.readings[group.column], fit.band(shown.derivatives[group.column])

@@ -9,22 +9,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import ArrayLike
 
 from ..errors import InputError
 from ..estimation.determination import Determination, determine
 from ..estimation.evidence import Evidence
-from ..estimation.observations import Noise
 from ..estimation.parameter_space import Priors, parameter_space, priors_of
 from ..estimation.residuals import Shared
-from ..measurements.readings import SET, of_tendons
-from ..measurements.table import Measurements
+from ..measurements.readings import of_tendons
 from ..numerics.given_numbers import check_numbers
 from ..progress import each
 from ..robot.manipulator import Manipulator
 from ..statics.status import NOTEWORTHY, words_of
 from .fit import Fit
-from .fit_inputs import unread_rows
+from .fit_inputs import Conditions, unread_rows, unread_table
 from .parameters import (
     PLAIN,
     BenchSetting,
@@ -46,26 +43,18 @@ class Candidate:
         conditions: columns that are set in an experiment on a manipulator or in a pulley test, SI; numbers, or lists
             of one length: base tensions, displacements, and known forces as in tables (`tip_force_y`, `force_y@60mm`).
             With a column `step` they are set in this order, from rest.
-        noise: standard deviation of each column that is read, SI, or `Noise(floor, fraction)` of the reading.
+        noise: standard deviation of each column that is read, SI.
     """
 
     name: str
-    conditions: Mapping[str, ArrayLike | Sequence[ArrayLike]]
-    noise: Mapping[str, float | Noise]
+    conditions: Conditions
+    noise: Mapping[str, float]
 
     def __post_init__(self):
         for column, numbers in (*self.conditions.items(), *self.noise.items()):
             check_numbers(f"candidate {self.name!r}: {column}", numbers)
-        known = all(not isinstance(noise, Noise) or None not in noise for noise in self.noise.values())
-        if not self.noise or not known or not all(_deviation(noise, 1.0) > 0 for noise in self.noise.values()):
+        if not self.noise or not all(np.ndim(noise) == 0 and noise > 0 for noise in self.noise.values()):
             raise InputError(f"candidate {self.name!r}: noise must name what is read, with standard deviations > 0")
-
-
-def _deviation(noise: float | Noise, reading: np.ndarray | float) -> np.ndarray:
-    """The standard deviation of each reading."""
-    if isinstance(noise, Noise):
-        return np.hypot(noise.floor or 0.0, (noise.fraction or 0.0) * reading)
-    return np.full(np.shape(reading), noise)
 
 
 Rows = tuple[np.ndarray, tuple[str, ...]]  # rows of the scaled Jacobian, and warnings
@@ -214,34 +203,15 @@ def _rows(
     nodes: int,
 ) -> Rows:
     """The scaled Jacobian of the readings of a candidate, and warnings of rows without a solution, which count as 0."""
-    experiment = unread_rows(_table(candidate, body.num_tendons), body, setting, [*parameters])
+    name, read = f"candidate {candidate.name!r}", [*candidate.noise]
+    table = unread_table(name, candidate.conditions, body.num_tendons, read)
+    experiment = unread_rows(table, body, setting, [*parameters])
     shown = experiment.evaluate(body, parameters, nodes)
-    values, slopes, count = shown.readings, shown.derivatives, len(shown.status)
+    count = len(shown.status)
     ended = [(int(np.sum(np.asarray(shown.status) == status)), status) for status in NOTEWORTHY]
     warnings = [f"{some} of {count} rows: {words_of(status)}" for some, status in ended if some]
-    deviations = [_deviation(candidate.noise[column], values[column])[:, None] for column in experiment.columns]
-    with np.errstate(divide="ignore", invalid="ignore"):  # a reading of 0 whose noise has no floor counts as nothing
-        scaled = [slopes[column] * size / s for column, s in zip(experiment.columns, deviations, strict=True)]
-    rows = np.concatenate(scaled)
+    rows = np.concatenate([shown.derivatives[name] * size / candidate.noise[name] for name in experiment.columns])
     return np.where(np.isfinite(rows), rows, 0.0), tuple(warnings)
-
-
-def _table(candidate: Candidate, num_tendons: int) -> Measurements:
-    """The candidate as a table whose readings are not known yet."""
-    conditions = {name: np.atleast_1d(np.asarray(value, float)) for name, value in candidate.conditions.items()}
-    count = max(values.size for values in conditions.values()) if conditions else 0
-    for column, length in zip(*(of_tendons(name, num_tendons) for name in SET), strict=True):
-        if column != "base_tension" and length not in conditions:
-            conditions.setdefault(column, np.zeros(1))
-    if "weight" in conditions:
-        conditions = {name: value for name, value in conditions.items() if not name.startswith("base_tension")}
-    name = f"candidate {candidate.name!r}"
-    lengths = {column: values.size for column, values in conditions.items() if values.size not in (1, count)}
-    if lengths:
-        raise InputError(f"{name}: {', '.join(lengths)} must hold 1 or {count} numbers; give lists of one length")
-    columns = {column: np.broadcast_to(values, (count,)) for column, values in conditions.items()}
-    columns |= {column: np.zeros(count) for column in candidate.noise}
-    return Measurements.from_columns(name, **columns)
 
 
 def standard_candidates(

@@ -1,12 +1,11 @@
 """`fit`: friction, modulus and the errors of the bench from measurements; and what the data do not determine."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import ArrayLike
 
 from ..errors import InputError, within
 from ..estimation.determination import FIXED, NOT_IDENTIFIED, Determination, Estimate, determine, estimate
@@ -15,9 +14,8 @@ from ..estimation.least_squares import LeastSquaresFit, least_squares_fit
 from ..estimation.observations import Noise
 from ..estimation.parameter_space import Bounds, Priors
 from ..estimation.whole_search import INTERRUPTED
-from ..measurements.forces import ON_TIP
 from ..measurements.jitter import Steady
-from ..measurements.left_out import CONTRADICTED, LeaveOut, LeftOut, named_rows, rows_in_words, without
+from ..measurements.left_out import LeaveOut, rows_in_words, without
 from ..measurements.loop_sense import runs_backwards
 from ..measurements.markers import marker_column
 from ..measurements.table import Measurements
@@ -25,10 +23,10 @@ from ..measurements.trials import repeated_tables
 from ..numerics.given_numbers import check_whole
 from ..robot.manipulator import Manipulator
 from ..statics.arguments import refuse_batch
-from . import bench
+from . import bench, verdict
 from .camera import camera_start, check_reach, unexplained_pose
 from .course import CLOSE, EACH, SHORT_STEPS
-from .fit_inputs import courses_of, noise_of, split_noise, trials_of, unread_rows
+from .fit_inputs import Conditions, courses_of, noise_of, split_noise, trials_of, unread_rows
 from .parameters import (
     PLAIN,
     TRIALS,
@@ -51,29 +49,8 @@ from .predictions import (
 from .random_effects import errors_of_base, fit_trials
 from .rivals import Rival, rivals_of
 from .tension_before import Before
-from .verdict import (
-    AGAINST,
-    SolveResults,
-    advice_on,
-    doubt,
-    drift_of,
-    estimates_in_words,
-    held_in_words,
-    neighbours,
-    neighbours_in_words,
-    so_far_in_words,
-    solve_results,
-    variance_of_neighbours,
-    warnings_of_inputs,
-    warnings_of_kinematics,
-    warnings_of_numbers,
-    warnings_of_rows,
-    warnings_of_solves,
-    warnings_of_trials,
-)
 
 POSITIVE = (0.0, None)
-ROUNDS = 5  # of fits, each without the rows that the fits before contradict
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,9 +64,8 @@ class Fit(LeastSquaresFit):
     trial_spread: float  # standard deviation of ln(mu) over trials; 0 if none was found, NaN without `per_trial`
     neighbours: float  # correlation of residuals of neighbouring rows of histories; 0 if it may be chance
     widened: Evidence  # with more noise where neighbours are alike; of it are statuses, standard errors and intervals
-    solve_results: tuple[SolveResults, ...]  # how the solves of each table of the manipulator ended
+    solve_results: tuple[verdict.SolveResults, ...]  # how the solves of each table of the manipulator ended
     without_jitter: dict[str, Steady]  # by table and column that was set, of tables with a history
-    setting: BenchSetting  # what all rows share
     options: dict[str, Any]  # the arguments of `fit` besides body and data, and the names of the free parameters
 
     @property
@@ -99,28 +75,28 @@ class Fit(LeastSquaresFit):
         left_out = self.options["leave_out"]
         lines += [f"Left out: {rows_in_words(left_out)}."] if left_out else []
         interrupted = self.result == INTERRUPTED
-        lines += so_far_in_words(self) if interrupted else estimates_in_words(self, self.bounded_above)
+        lines += verdict.so_far_in_words(self) if interrupted else verdict.estimates_in_words(self, self.bounded_above)
         if TRIALS in self.parameters:
             lines.append(
                 f"friction differs from trial to trial by {100 * self.trial_spread:.2g} % (standard deviation)"
             )
         lost = {name for name, status in self.status.items() if status == NOT_IDENTIFIED} - {*self.bounded_above}
-        return *lines, *([advice_on(self, self.tables, lost)] if lost and self.success else [])
+        return *lines, *([verdict.advice_on(self, self.tables, lost)] if lost and self.success else [])
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
         """Warnings about tables, statistics and solver, in words."""
         tables = self.tables
         return (
-            *warnings_of_rows(tables, self.model, self.without_jitter),
-            *warnings_of_inputs(self, tables, self.model, self.options["noise"]),
-            *warnings_of_numbers(self, self.moved_by_steps),
+            *verdict.warnings_of_rows(tables, self.model, self.without_jitter),
+            *verdict.warnings_of_inputs(self, tables, self.model, self.options["noise"]),
+            *verdict.warnings_of_numbers(self, self.moved_by_steps),
             *(rival.in_words for rival in self.rivals if rival.in_words),
             *repeated_tables(tables),
-            *warnings_of_kinematics(tables, self.manipulator),
+            *verdict.warnings_of_kinematics(tables, self.manipulator),
             *(remark for remark in self.remarks if not remark.startswith(TRIALS)),
-            *warnings_of_trials(self, self.groups),
-            *warnings_of_solves(self.solve_results),
+            *verdict.warnings_of_trials(self, self.groups),
+            *verdict.warnings_of_solves(self.solve_results),
         )
 
     @cached_property
@@ -143,28 +119,16 @@ class Fit(LeastSquaresFit):
     def __str__(self) -> str:
         return "\n".join(self.verdict)
 
-    def predict(
-        self,
-        column: str,
-        base_tension: Numbers | None = None,
-        tip_force: Numbers = (0.0, 0.0),
-        *,
-        force_at: Mapping[float, Numbers] | None = None,
-        displacement: Numbers | None = None,
-        time: ArrayLike | None = None,
-        history: bool = False,
-    ) -> Prediction:
+    def predict(self, column: str, conditions: Numbers | Conditions, *, history: bool = False) -> Prediction:
         """Predict a reading, with its 95 % band.
 
         Args:
             column: "tip_tension", "tip_tension_2", "tip_angle", "tip_x", "tip_y", "tip_axis_x", ..., of a body in space
                 "tip_z" as well, or the column of a marker, "x@120mm".
-            base_tension: N, (rows,) where every tendon has the same tension, or (rows, tendons).
-            tip_force: N, (2,) or (rows, 2), of a body in space (3,) or (rows, 3).
-            force_at: forces at other places, N, in the same shapes, by their arc lengths, m: {0.060: (0.0, -1.0)}.
-            displacement: m, as the encoders read, in place of base tensions and in the same shapes. The slack offsets
-                are those of all trials, not those of one trial alone.
-            time: s, (rows,), of a path by displacement; needed where the fit knows a lag.
+            conditions: base tensions, N, (rows,) where every tendon has the same tension, or (rows, tendons). Or by
+                column what is set, as in a table, SI: {"base_tension": 50.0, "force_y@60mm": -1.0}, or
+                {"displacement": [0.004, 0.011]} as the encoders read, with "time" where the fit knows a lag; numbers,
+                or lists of one length. A further tendon that is not named has no tension.
             history: whether the rows are a path from rest, pulled and released in this order; every turn counts. Else
                 each row is an equilibrium of its own, with the directions that `solve` finds. By displacement, and
                 where friction acts along a history only, it is pulled from rest, and its forces grow with it.
@@ -172,11 +136,7 @@ class Fit(LeastSquaresFit):
         Raises:
             InputError: for another column, conditions of other shapes, or a path that `fit` could not follow.
         """
-        more = {column if marker_column(column) else "tip_angle": 0.0}  # something that is read
-        more |= {} if time is None else {"time": time}
-        pulls = {"base_tension": base_tension, "displacement": displacement}
-        forces = {ON_TIP: tip_force} | {f"{float(place)!r}m": force for place, force in (force_at or {}).items()}
-        table = rows_to_predict(pulls, forces, self.manipulator.num_tendons, more)
+        table = rows_to_predict(conditions, self.manipulator.num_tendons, column)
         given = self.manipulator, self.whole_setting, self.names, history, self.options["short_steps"]
         wanted = unread_rows(table, *given)
         assert isinstance(wanted, bench.Bench)
@@ -184,21 +144,14 @@ class Fit(LeastSquaresFit):
         if column not in shown.readings:
             raise InputError(f"predict: {column!r} is not a reading; there are {', '.join(shown.readings)}")
         band = self.band(shown.derivatives[column])
-        return Prediction(shown.readings[column], band, beyond_the_data(wanted, self.model))
+        return Prediction(shown.readings[column], band, beyond_the_data(table, self.tables))
 
     @property
     def whole_setting(self) -> BenchSetting:
         """What all rows share, with the markers of the tables."""
         known = {name: place for own in self.tables for name, place in own.markers.items()}
-        return replace(self.setting, markers={**known, **self.setting.markers})
-
-    @property
-    def contradicted(self) -> LeftOut:
-        """By file, the rows that made the fit fail, because tendons travel against the direction found for them."""
-        if not self.result.startswith(AGAINST):
-            return {}
-        ends = self.solve_results
-        return named_rows([end.table for end in ends], [end.contradicted for end in ends])
+        setting = self.options["setting"]
+        return replace(setting, markers={**known, **setting.markers})
 
     def place(self, group: str, k: int) -> str:
         """The place of reading `k` of a group, in words: its row in the file, or its number where there is no file."""
@@ -209,9 +162,9 @@ class Fit(LeastSquaresFit):
     @property
     def remarks(self) -> tuple[str, ...]:
         """The remarks of any fit; samples of a hold that are not independent; readings with a history that drift."""
-        alike = (held_in_words(self.standardised_residuals, group) for group in self.groups)
-        drifts = (drift_of(self, group) for group in self.groups if self.success)
-        wider = neighbours_in_words(self.neighbours) if self.success and self.neighbours else ""
+        alike = (verdict.held_in_words(self.standardised_residuals, group) for group in self.groups)
+        drifts = (verdict.drift_of(self, group) for group in self.groups if self.success)
+        wider = verdict.neighbours_in_words(self.neighbours) if self.success and self.neighbours else ""
         return (*super().remarks, *filter(None, (*alike, *drifts, wider)))
 
     def band(self, sensitivity: np.ndarray) -> np.ndarray:
@@ -236,7 +189,7 @@ def fit(
     priors: Priors | None = None,
     *,
     bounds: Bounds | None = None,
-    noise: Mapping[str, ArrayLike | Noise] | None = None,
+    noise: Mapping[str, float | Noise] | None = None,
     setting: BenchSetting = PLAIN,
     history: bool | Literal["each"] | None = None,
     before: Before = "rest",
@@ -270,32 +223,26 @@ def fit(
             (`outer_radius_error`, `tendon_angle_error`), best with priors. With a history it may be friction besides
             that of tendons on the body (`friction_moment`, `outside_friction`, `outside_drag`), of tendons driven by
             displacement what stands between motor and body (`slack_offset`, `outside_compliance`, `backlash`, `lag`,
-            and `tendon_stretch`, 1 / (E A) of the tendon;
-            `slack_offset_trial_2` in trial 2 alone, of all tendons, `slack_offset_1_trial_2` of tendon 1),
-            or `before` (`before_2` for trial 2), the largest base tension before the first row, N; of several tendons
-            that of tendon 1 before it, and `before_tendon_2` (`before_tendon_2_3` for trial 3).
+            and `tendon_stretch`, 1 / (E A) of the tendon),
+            or of one tendon `before` (`before_2` for trial 2), the largest base tension before the first row, N.
         priors: by parameter, mean and standard deviation of a Gaussian, SI units.
         bounds: by parameter, (lower, upper), SI units; default (0, None) for what is positive.
-        noise: by column, known standard deviation, SI units, a number or one for each reading, or
-            `Noise(floor, fraction)`; what is not given is estimated, for each column of each table, from the
-            residuals. That of `base_tension` is one number, 0 for exact base tensions. It also decides which turns a
-            history ignores.
+        noise: by column, known standard deviation, SI units, or `Noise(floor, fraction)`; what is not given is
+            estimated, for each column of each table, from the residuals. That of `base_tension` is a number, 0 for
+            exact base tensions. It also decides which turns a history ignores.
         setting: what all rows share: constant loads such as gravity, positions of markers, known numbers of the bench.
         history: whether each row depends on the rows before it, in the order of the columns `step` or `time`, or else
             in that of the file. "each": every row was pulled from rest, its tensions and forces in proportion; loads
             of `setting`, such as gravity, act before.
             None: yes if the table has one of these columns; else no, and "each" if that contradicts rows.
-        before: with a history, the tensions before the first row: "rest", or the largest base tension, N, from which
-            the tendon was released to the first row, as the base cell reads it. One for all trials, or a list with one
-            for each, in the order of the tables and of their trials. For a free parameter `before` it is the start of
-            the search. With several tendons an entry holds the tensions of all, [(60, 20)]; they rose linearly from
-            rest, and then went to those of the first row. A tendon for which nothing is given had the tension of the
-            first row.
+        before: with a history of one tendon, the tension before the first row: "rest", or the largest base tension, N,
+            from which it was released to the first row, as the base cell reads it. One for all trials, or a list with
+            one for each, in the order of the tables and of their trials. For a free parameter `before` it is the start
+            of the search. A trial of several tendons begins with a row of the tensions before it.
         short_steps: into how many increments each step of a history is divided with several tendons or loads, 2 or
             more; the report states the error that they leave.
         leave_out: rows whose readings do not count, by their numbers in the file: [8, 14] or "8, 14, 20-23", and of
             several files by name, {"run_2.csv": [8, 14]}. With a history such a row stays as a step of the path.
-            "contradicted": fit, leave out the rows that the fit contradicts, and fit again, until there is none.
         per_trial: let friction differ from trial to trial: ln(mu) has a normal distribution whose spread is estimated.
         starts, seed: as in `least_squares_fit`.
         nodes: as in `solve`.
@@ -318,11 +265,6 @@ def fit(
         **{"history": history, "before": before, "short_steps": short_steps, "per_trial": per_trial},
         **{"starts": starts, "seed": seed},
     }
-    if isinstance(leave_out, str) and leave_out.strip() == CONTRADICTED:
-        unordered = history is None and not any(table.ordered for table in tables)
-        given["history"] = False if unordered else history  # the rows are to be left out, and not followed
-        return _without_contradicted(partial(fit, manipulator, tables, free, **given))
-    whole = tables
     with within("fit"):
         tables, left_out = without(tables, leave_out)
     if history not in (None, True, False, EACH):
@@ -334,7 +276,7 @@ def fit(
     if not tables or not free:
         raise InputError("fit: needs a table of measurements and a free parameter")
     check_tendons([*free, *setting.given], manipulator.num_tendons)
-    options = given | {"free": list(free), "setting": setting, "leave_out": left_out}
+    options = given | {"free": list(free), "leave_out": left_out}
     kinds = {name: parameter_named(name) for name in free}
     earlier = np.cumsum([0, *(len(trials_of(table)) for table in tables)])
     with within("fit"):
@@ -355,7 +297,7 @@ def fit(
     start |= {name: guess for name, (guess, _) in guesses.items()}
     own_bounds = {name: POSITIVE for name, kind in kinds.items() if kind.positive}
     bounds = _with_bounds(own_bounds | {name: (low, None) for name, (_, low) in guesses.items()}, bounds or {})
-    sigma = noise_of(groups, noise, dict(zip(model.names, whole, strict=True)))
+    sigma = noise_of(groups, noise)
     with within("fit"):
         check_reach(model, groups, free, setting.given)
     pose = camera_parameters(manipulator)
@@ -368,8 +310,8 @@ def fit(
     search = partial(search, seed=seed, prefer_start=True, accuracy=CLOSE if in_increments else 0.0)
     if not per_trial:
         statistics = search(start, priors=priors, scales=scales, starts=starts)
-        found = _conclude(statistics, tables, model, setting, without_jitter, float("nan"), options)
-        if history is None and found.contradicted:
+        found = _conclude(statistics, tables, model, without_jitter, float("nan"), options)
+        if history is None and found.result.startswith(verdict.AGAINST):
             given["history"] = EACH
             return fit(manipulator, data, free, leave_out=leave_out, **given)
         return found
@@ -377,7 +319,7 @@ def fit(
         remedy = "needs a free friction_coefficient and tables whose column trial names 2 or more"
         raise InputError(f"fit: per_trial {remedy}")
     statistics, spread = fit_trials(search, int(earlier[-1]), start, priors or {}, scales, starts)
-    return _conclude(statistics, tables, model, setting, without_jitter, spread, options)
+    return _conclude(statistics, tables, model, without_jitter, spread, options)
 
 
 def _with_bounds(own: Bounds, given: Bounds) -> Bounds:
@@ -386,36 +328,24 @@ def _with_bounds(own: Bounds, given: Bounds) -> Bounds:
     return {**own, **stated}
 
 
-def _without_contradicted(once: Callable[..., Fit]) -> Fit:
-    """Fit, leave out the rows that the fit contradicts, and fit again, until it contradicts none."""
-    found, left = once(leave_out={}), LeftOut()
-    for _ in range(ROUNDS):
-        if not (more := found.contradicted):
-            break
-        left = {file: left.get(file, []) + more.get(file, []) for file in {**left, **more}}
-        found = once(leave_out=left)
-    return found
-
-
 def _conclude(
     statistics: LeastSquaresFit,
     tables: tuple[Measurements, ...],
     model: bench.BenchModel,
-    setting: BenchSetting,
     without_jitter: dict[str, Steady],
     trial_spread: float,
-    options: dict[str, object],
+    options: dict[str, Any],
 ) -> Fit:
     """The result of `fit` from the statistics: the body with the estimates, and how the solves of each table ended."""
     body = model.manipulator
-    ends = tuple(solve_results(statistics.parameters, tables, model, statistics.input_noise))
+    ends = tuple(verdict.solve_results(statistics.parameters, tables, model, statistics.input_noise))
     groups = bench.groups_of(tables, model)
     followed = [table for table, one in zip(tables, model.experiments, strict=True) if one.in_order]
-    reasons = unexplained_pose(statistics, groups, body), doubt(ends), *map(runs_backwards, followed)
+    reasons = unexplained_pose(statistics, groups, body), verdict.doubt(ends), *map(runs_backwards, followed)
     if statistics.success and (reason := next(filter(None, reasons), "")):
         statistics = statistics.doubted(reason)
-    correlation, labels = neighbours(statistics.standardised_residuals, groups)
-    widened = statistics.evidence.enlarged(dict.fromkeys(labels, variance_of_neighbours(correlation)))
+    correlation, labels = verdict.neighbours(statistics.standardised_residuals, groups)
+    widened = statistics.evidence.enlarged(dict.fromkeys(labels, verdict.variance_of_neighbours(correlation)))
     statistics = replace(statistics, **vars(determine(widened)))
     both = "friction_coefficient", stiffness_parameter(body)
     fixed = {n: starting_value(body, n) for n in both if n not in statistics.names}
@@ -432,7 +362,7 @@ def _conclude(
     effects = [estimate(statistics.value[n], widened.uncertainty(row[None])) for n, row in rows.items()]
     return Fit(
         **found | {field: {n: found[field][n] for n in own} | more for field, more in of_fixed.items()},
-        manipulator=with_parameters(body, {**setting.given, **statistics.parameters}),
+        manipulator=with_parameters(body, {**options["setting"].given, **statistics.parameters}),
         tables=tables,
         model=model,
         trial_effects=dict(zip(trials, effects, strict=True)) if effects else {},
@@ -441,6 +371,5 @@ def _conclude(
         widened=widened,
         solve_results=ends,
         without_jitter=without_jitter,
-        setting=setting,
         options=options,
     )

@@ -7,18 +7,20 @@ from jaxtyping import ArrayLike
 
 from ..errors import InputError
 from ..estimation.observations import Noise
-from ..measurements.columns import is_reading
+from ..measurements.columns import column_dimension, is_reading
 from ..measurements.jitter import Steady
-from ..measurements.readings import SET, kind_of_set
+from ..measurements.readings import SET, kind_of_set, of_tendons
 from ..measurements.table import Measurements
 from ..numerics.given_numbers import check_numbers
-from ..quantities import dimension_of
 from ..robot.manipulator import Manipulator
 from ..units import si_unit
 from .bench import Bench, Group, Pulley, experiment_of
 from .course import EACH, SHORT_STEPS, Course, course_of, how_followed, paths_of
-from .parameters import MOTORS, BenchSetting, along_a_path, trial_of
+from .parameters import MOTORS, BenchSetting, along_a_path
 from .tension_before import Before, first_guesses, pasts_of
+
+Numbers = ArrayLike | Sequence[ArrayLike] | Sequence[Sequence[float]]
+Conditions = Mapping[str, Numbers]
 
 
 def courses_of(
@@ -34,7 +36,7 @@ def courses_of(
     """The course of each table, None without a history; guesses of pasts."""
     paths = [paths_of(table, history) for table in tables]
     counts = [len(own or ()) for own in paths]
-    pasts = pasts_of(counts, before, free, manipulator.num_tendons)
+    pasts = pasts_of(counts, before, free)
     names = *free, *setting.given
     along = along_a_path(manipulator, names)
     for table, rows in zip(tables, paths, strict=True):
@@ -42,13 +44,6 @@ def courses_of(
             what = f"{table.name}: {', '.join(along)} act along a history, and the rows have none"
             raise InputError(what, remedy="add a column step or time, or give history=True (--history)")
     how = how_followed(manipulator, names, setting.loads)
-    # a table without trials is one, and a pulley test none
-    counted = [0 if "pulling_tension" in table else len(table.trial_labels) or 1 for table in tables]
-    ends = np.cumsum([0, *counted])
-    for name in names:
-        if (trial := trial_of(name)) is not None and trial > ends[-1]:
-            what = f"{name} belongs to trial {trial}, but the tables have {ends[-1]}"
-            raise InputError(what, remedy="number the trials of all tables from 1, in their order")
     needed = next((name for name in along if name in MOTORS), "")
     for table in tables:
         for own in table.set_columns:
@@ -56,16 +51,38 @@ def courses_of(
                 place = f"{table.name}: {table.place(int(np.argmin(own.rows)))}, column {own.column}"
                 what = f"{place}: a base tension sets the tendon there, and {needed} takes displacements in all rows"
                 raise InputError(what, remedy=f"clear the base tensions of this tendon, or leave {needed} out")
-    by_trial = any(trial_of(name) is not None for name in names)
     courses = [
-        course_of(table, noise, own, short_steps, paths=rows, numbered_from=end + 1 if by_trial else None, **how)
-        if rows
-        else None
-        for table, rows, own, end in zip(tables, paths, pasts, ends.tolist()[:-1], strict=True)
+        course_of(table, noise, own, short_steps, paths=rows, **how) if rows else None
+        for table, rows, own in zip(tables, paths, pasts, strict=True)
     ]
     known = [(own, course[0]) for own, course in zip(pasts, courses, strict=True) if course]
-    first = [(own, np.asarray(course.readings)[:, 0]) for own, course in known]
+    first = [(own, np.asarray(course.readings)[:, 0, 0]) for own, course in known]
     return courses, first_guesses(first)
+
+
+def unread_table(name: str, conditions: Conditions, num_tendons: int, read: Sequence[str]) -> Measurements:
+    """A table whose readings are not known yet.
+
+    Args:
+        name: of the table.
+        conditions: what is set, by column, SI: numbers, or lists of one length. Further tendons have no tension where
+            none is given.
+        num_tendons: of the body.
+        read: the columns that are read.
+
+    Raises:
+        InputError: for lists of several lengths, and as `Measurements.from_columns`.
+    """
+    given = {column: np.atleast_1d(np.asarray(value, float)) for column, value in conditions.items()}
+    count = max((values.size for values in given.values()), default=0)
+    for column, length in zip(*(of_tendons(kind, num_tendons) for kind in SET), strict=True):
+        if column != "base_tension" and length not in given and "weight" not in given:
+            given.setdefault(column, np.zeros(1))
+    lengths = {column: values.size for column, values in given.items() if values.size not in (1, count)}
+    if lengths:
+        raise InputError(f"{name}: {', '.join(lengths)} must hold 1 or {count} numbers; give lists of one length")
+    columns = {column: np.broadcast_to(values, (count,)) for column, values in given.items()}
+    return Measurements.from_columns(name, **columns, **{column: np.zeros(count) for column in read})
 
 
 def unread_rows(
@@ -90,22 +107,25 @@ def unread_rows(
 
 
 def split_noise(
-    noise: Mapping[str, ArrayLike | Noise], tables: Sequence[Measurements]
-) -> tuple[dict[str, ArrayLike | Noise], dict[str, float]]:
+    noise: Mapping[str, float | Noise], tables: Sequence[Measurements]
+) -> tuple[dict[str, float | Noise], dict[str, float]]:
     """The noise of the predicted columns, and that of what was set."""
     columns = {own.column for table in tables for own in table.set_columns}
     columns |= {*map(kind_of_set, columns)} - {column for table in tables for column in table.columns}
-    base = {column: given for column, given in noise.items() if column in columns}
-    for column, given in base.items():
-        if not isinstance(given, Noise):
-            check_numbers(f"noise of {column}", [given])
-        if isinstance(given, Noise) or np.ndim(given) or not np.asarray(given) >= 0:
-            unit = si_unit(dimension_of(kind_of_set(column)))
+    base: dict[str, float] = {}
+    for column, given in noise.items():
+        if isinstance(given, Noise) and column not in columns:
+            continue
+        check_numbers(f"noise of {column}", [given])
+        number = np.asarray(given, float)
+        if number.ndim or not number >= 0:
+            unit = si_unit(column_dimension(column) or "dimensionless")
             raise InputError(f"noise of {column} must be one standard deviation in {unit}, 0 or more")
+        base |= {column: float(number)} if column in columns else {}
     read = {own.column for table in tables for own in table.set_columns if np.any(table.has(own.column) & ~own.rows)}
     read |= {column for table in tables for column in table.columns if is_reading(column, table.columns)}
     predicted = {column: given for column, given in noise.items() if column not in base or column in read}
-    return predicted, {column: float(np.asarray(given)) for column, given in base.items()}
+    return predicted, base
 
 
 def trials_of(table: Measurements) -> tuple[str, ...]:
@@ -113,15 +133,8 @@ def trials_of(table: Measurements) -> tuple[str, ...]:
     return () if "pulling_tension" in table else table.trial_labels
 
 
-def noise_of(
-    groups: Sequence[Group], noise: Mapping[str, ArrayLike | Noise], whole: Mapping[str, Measurements]
-) -> dict[str, ArrayLike | Noise | None]:
+def noise_of(groups: Sequence[Group], noise: Mapping[str, float | Noise]) -> dict[str, float | Noise | None]:
     """By group, the given noise of its column, or None.
-
-    Args:
-        groups: the data.
-        noise: by column; one number for each reading counts those that were left out too.
-        whole: the tables by the names of the groups, with the readings that were left out.
 
     Raises:
         InputError: for a column that no table holds.
@@ -130,10 +143,4 @@ def noise_of(
     for column in set(noise) - columns:
         held = ", ".join(sorted(columns))
         raise InputError(f"fit: noise is given for {column!r}, which no table holds; they hold {held}")
-
-    def kept(group: Group) -> ArrayLike | Noise | None:
-        given, before = noise.get(group.column), whole[group.name].has(group.column)
-        each = given is not None and not isinstance(given, Noise) and np.shape(given) == (np.count_nonzero(before),)
-        return np.asarray(given)[group.there[before]] if each else given
-
-    return {group.label: kept(group) for group in groups}
+    return {group.label: noise.get(group.column) for group in groups}

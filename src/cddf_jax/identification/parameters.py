@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float, Int
+from jaxtyping import Array, ArrayLike, Float
 
 from ..errors import InputError
 from ..measurements.markers import Marker
@@ -87,7 +87,6 @@ OF_TENDONS = (  # each tendon may have its own
     *("base_gain", "tip_gain", "base_zero", "tip_zero", "slack_offset", "tendon_angle_error", "tendon_stretch"),
     *OUTSIDE,
 )
-_OF_TRIAL = re.compile(r"slack_offset(?:_([1-9]\d*))?_trial_([1-9]\d*)")  # a tendon, or else all, in one trial
 RUBBING = ("friction_moment", "outside_friction", "outside_drag")  # friction besides that of tendons on the body
 MOTORS = ("backlash", "lag")  # between a motor and its tendon
 _OF_BODY = {field.name for field in fields(Manipulator)}
@@ -149,8 +148,7 @@ def check_tendons(names: Iterable[str], num_tendons: int) -> None:
         InputError: names the first one.
     """
     for name in names:
-        own = name.partition("_trial_")[0] if _OF_TRIAL.fullmatch(name) else name
-        if own != parameter_named(name).name and not is_past(name) and not 1 <= tendon_number(own) <= num_tendons:
+        if name != parameter_named(name).name and not is_past(name) and not 1 <= tendon_number(name) <= num_tendons:
             raise InputError(f"{name}: there is no such tendon, the body has {num_tendons}; they count from 1")
 
 
@@ -219,22 +217,6 @@ def of_all_tendons(parameters: Parameters, name: str, tendons: int) -> Float[Arr
     """As `own_or_common`, for all tendons; where it is no parameter, the usual value."""
     usual = PARAMETERS[name].start
     return jnp.stack([jnp.asarray(own_or_common(parameters, name, i, usual)) for i in range(1, tendons + 1)])
-
-
-def trial_of(name: str) -> int | None:
-    """The trial, 1, 2, ..., in which alone a slack offset holds; None for other parameters."""
-    found = _OF_TRIAL.fullmatch(name)
-    return int(found[2]) if found else None
-
-
-def slack_offsets(parameters: Parameters, tendons: int, trials: Int[Array, " n"]) -> Float[Array, "n tendons"]:
-    """The slack offset of each tendon in trials 1, 2, ..., m; 0 stands for a trial without offsets of its own."""
-    found = jnp.broadcast_to(of_all_tendons(parameters, "slack_offset", tendons), (trials.shape[0], tendons))
-    own = [(match, parameters[name]) for name in parameters if (match := _OF_TRIAL.fullmatch(name))]
-    for match, value in sorted(own, key=lambda one: one[0][1] or ""):  # those of all tendons first
-        of_tendon = np.full(tendons, True) if match[1] is None else np.arange(1, tendons + 1) == int(match[1])
-        found = jnp.where((trials == int(match[2]))[:, None] & of_tendon, value, found)
-    return found
 
 
 def turn_of(parameters: Parameters, name: str) -> Float[Array, " 3"] | None:
@@ -311,13 +293,11 @@ def unit_of(name: str) -> str:
 def parameter_named(name: str) -> Parameter:
     """The parameter of this name.
 
-    `tip_gain_2` is `tip_gain` of tendon 2, `before_2` is `before` of trial 2, and `slack_offset_2_trial_3` is the
-    `slack_offset` of tendon 2 in trial 3.
+    `tip_gain_2` is `tip_gain` of tendon 2, and `before_2` is `before` of trial 2.
 
     Raises:
         InputError: for an unknown name.
     """
-    name = name.partition("_trial_")[0] if _OF_TRIAL.fullmatch(name) else name
     stem, _, tendon = name.rpartition("_")
     if tendon.isdigit() and stem in OF_TENDONS:
         name = stem

@@ -9,21 +9,20 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import ArrayLike
 
 from ..errors import InputError
 from ..estimation.least_squares import LeastSquaresFit
-from ..measurements.forces import ON_TIP, column_of_force
-from ..measurements.readings import of_tendons
+from ..measurements.forces import forces_of
+from ..measurements.markers import marker_column
+from ..measurements.readings import SET, kind_of_set, of_tendons
 from ..measurements.table import Measurements
 from ..numerics.arrays import evaluated
 from ..numerics.given_numbers import check_numbers
 from .bench import Bench, BenchModel, Group
+from .fit_inputs import Conditions, Numbers, unread_table
 from .parameters import TRIALS
 
 SPANNED = 1e-9  # of the largest tension or force: rows as close to the range of the data count as inside
-
-Numbers = ArrayLike | Sequence[float] | Sequence[Sequence[float]]
 
 
 class Prediction(NamedTuple):
@@ -34,76 +33,44 @@ class Prediction(NamedTuple):
     extrapolated: np.ndarray  # True beyond the base tensions, displacements or forces of the data
 
 
-def rows_to_predict(
-    pulls: Mapping[str, Numbers | None], forces: Mapping[str, Numbers], num_tendons: int, more: Mapping[str, ArrayLike]
-) -> Measurements:
+def rows_to_predict(conditions: Numbers | Conditions, num_tendons: int, column: str) -> Measurements:
     """A table of rows to predict; arguments as in `Fit.predict`.
-
-    Args:
-        pulls: "base_tension" and "displacement", one of them None.
-        forces: by place, "tip" or "60mm".
-        num_tendons: of the body.
-        more: further columns, numbers or (rows,).
 
     Raises:
         InputError: for numbers that are not finite, tensions below 0, shapes that do not fit.
     """
-    stated = [(name, values) for name, values in pulls.items() if values is not None]
-    if len(stated) != 1:
-        raise InputError("predict: give either base_tension or displacement, of all tendons")
-    ((kind, values),) = stated
-    names = {place: "tip_force" if place == ON_TIP else f"force @{place}" for place in forces}
-    for name, given in {kind: values, **{names[place]: force for place, force in forces.items()}}.items():
-        check_numbers(f"predict: {name}", given)
-        if not np.all(np.isfinite(np.asarray(given, np.float64))):
-            raise InputError(f"predict: {name} must hold finite numbers")
-    pull = np.atleast_1d(np.asarray(values, dtype=np.float64))
-    if kind == "base_tension" and np.any(pull < 0):
-        raise InputError(f"predict: base_tension must be 0 N or more, got {np.min(pull):g}; a tendon only pulls")
-    pull = pull[:, None] if pull.ndim == 1 else pull
-    rows = len(pull)
-    try:
-        pulled = np.broadcast_to(pull, (rows, num_tendons))
-        columns = dict(zip(of_tendons(kind, num_tendons), pulled.T, strict=True))
-        for place, force in forces.items():
-            shape = rows, 3 if np.shape(force)[-1:] == (3,) else 2
-            parts = zip("xyz", np.broadcast_to(np.asarray(force, np.float64), shape).T, strict=False)
-            columns |= {column_of_force(axis, place): own for axis, own in parts}
-        columns |= {name: np.broadcast_to(np.asarray(own, np.float64), rows) for name, own in more.items()}
-    except ValueError:
-        got = ", ".join(str(np.shape(one)) for one in (pull, *forces.values()))
-        raise InputError(
-            f"predict: needs {kind} (rows,) or (rows, {num_tendons}), {', '.join(names.values())} (2,) or (rows, 2), "
-            f"in space (3,) or (rows, 3); got {got}"
-        ) from None
-    return Measurements("predict", columns, np.arange(1, rows + 1))
+    by_column = conditions if isinstance(conditions, Mapping) else {"base_tension": conditions}
+    for name, numbers in by_column.items():
+        check_numbers(f"predict: {name}", numbers)
+    if not isinstance(conditions, Mapping):
+        pull = np.atleast_1d(np.asarray(conditions, float))
+        pull = pull[:, None] if pull.ndim == 1 else pull
+        if pull.ndim > 2 or pull.shape[1] not in (1, num_tendons):
+            raise InputError(f"predict: needs base tensions (rows,) or (rows, {num_tendons}), got {pull.shape}")
+        pulled = np.broadcast_to(pull, (len(pull), num_tendons)).T
+        by_column = dict(zip(of_tendons("base_tension", num_tendons), pulled, strict=True))
+    return unread_table("predict", by_column, num_tendons, [column if marker_column(column) else "tip_angle"])
 
 
-def beyond_the_data(wanted: Bench, model: BenchModel) -> np.ndarray:
-    """Which rows lie outside the range of the data, in any base tension, displacement or component of a force."""
+def beyond_the_data(wanted: Measurements, tables: Sequence[Measurements]) -> np.ndarray:
+    """Which rows lie outside the range of the data, in any base tension, displacement or component of a force.
 
-    tendons, benches = model.manipulator.num_tendons, [one for one in model.experiments if isinstance(one, Bench)]
-    places = [ON_TIP, *sorted({place for one in (wanted, *benches) for place in one.setting.force_at})]
+    What a table does not name was 0 in it.
+    """
 
-    def conditions(bench: Bench) -> np.ndarray:
-        rows, pull = len(bench.actuation), np.asarray(bench.actuation)[:, None]
-        force, pulls = np.zeros((rows, len(places), 3)), np.zeros((rows, 2, tendons))
-        of_kind = bench.by_length[:, None] == np.array([[False], [True]])  # first tensions, then displacements
-        set_ones = slice(None) if bench.tendons is None else np.asarray(bench.tendons)
-        pulls[:, :, set_ones] = np.where(of_kind, pull, np.nan)
-        if bench.forces is not None:
-            own = [places.index(place) for place in (ON_TIP, *bench.setting.force_at)]
-            force[:, own, : np.shape(bench.forces)[2]] = bench.forces
-        return np.concatenate([pulls.reshape(rows, -1), force.reshape(rows, -1)], axis=1)
+    def conditions(table: Measurements) -> dict[str | tuple[float, int], np.ndarray]:
+        places, forces = forces_of(table.columns, len(table))
+        found = zip((0.0, *places.values()), np.moveaxis(forces, 0, 2), strict=True)  # the tip comes first
+        of_forces = {(place, axis): values for place, own in found for axis, values in enumerate(own)}
+        return of_forces | {name: own for name, own in table.columns.items() if kind_of_set(name) in SET}
 
-    there = conditions(wanted)
-    if not benches:
-        return np.ones(len(there), bool)
-    measured = np.concatenate([*map(conditions, benches)])
-    low, high = np.fmin.reduce(measured), np.fmax.reduce(measured)  # NaN where nothing was measured
-    slack = SPANNED * np.maximum(np.abs(low), np.abs(high))
-    inside = (there >= low - slack) & (there <= high + slack)
-    return np.any(np.isfinite(there) & ~inside, axis=1)
+    beyond, measured = np.zeros(len(wanted), bool), [conditions(one) for one in tables if "pulling_tension" not in one]
+    for what, values in conditions(wanted).items() if measured else ():
+        known = np.concatenate([own.get(what, np.zeros(1)) for own in measured])
+        low, high = np.nanmin(known), np.nanmax(known)
+        slack = SPANNED * max(abs(low), abs(high))
+        beyond |= (values < low - slack) | (values > high + slack)
+    return beyond | (not measured)
 
 
 def moved_by_finer_steps(fit: LeastSquaresFit, model: BenchModel, groups: Sequence[Group]) -> dict[str, float]:

@@ -86,7 +86,6 @@ def rivals_of(
         noise = {column: value for column, value in options["noise"].items() if kind_of_set(column) in SET}
         how = {"short_steps": options["short_steps"], "stepped": True, "timed": timed and in_all_rows}
         course, _ = course_of(table, noise, paths=paths_of(table, options["history"]), **how)
-        course = replace(course, number=None if one.course is None else one.course.number)
         bench = replace(one, course=course, name=one.name)
         shown = bench.evaluate(model.manipulator, parameters, model.nodes, by_base=False)
         slopes[name] = shown.derivatives

@@ -12,7 +12,7 @@ from ..estimation.remarks import EXACT, chance_of_more
 from ..measurements.columns import is_reading
 from ..measurements.holds import correlation_of_rows, holds_of
 from ..measurements.jitter import Steady
-from ..measurements.left_out import CONTRADICTED, named_rows, rows_in_words
+from ..measurements.left_out import named_rows, rows_in_words
 from ..measurements.readings import kind_of_set, of_shape, set_by, tendon_number
 from ..measurements.table import Measurements
 from ..measurements.table_warnings import warnings_of
@@ -85,8 +85,7 @@ def doubt(ends: Sequence[SolveResults]) -> str:
         f"{AGAINST} in {found} of {count} rows: "
         f"{rows_in_words(rows)}; parts of them stick there. Follow the rows with history, "
         "in the order in which they were pulled or each from rest (--each-from-rest). Or leave them out "
-        f"(leave_out, --leave-out; {CONTRADICTED!r} repeats the fit until no row is contradicted). "
-        "Or state the directions in columns direction and direction_2"
+        "(leave_out, --leave-out). Or state the directions in columns direction and direction_2"
     )
 
 
@@ -284,8 +283,6 @@ def estimates_in_words(found: Determination, bounded_above: Sequence[str] = ()) 
     """A line for each parameter and combination, in the unit that engineers use."""
     lines = []
     for name, status in found.status.items():
-        if name.startswith(TRIALS):
-            continue
         value, error, low, high, unit = parameter_shown(found, name)
         if status == IDENTIFIED:
             lines.append(f"{name} = {value:.4g} +- {error:.2g}{unit} (95 %: {low:.4g} to {high:.4g}{unit}): identified")
@@ -311,7 +308,6 @@ def _hold_shape(tables: Sequence[Measurements]) -> bool:
 def advice_on(fit: LeastSquaresFit, tables: Sequence[Measurements], lost: set[str]) -> str:
     """What measurement would separate the parameters that these data do not separate."""
     unknown = f"The data do not determine {', '.join(sorted(lost))}"
-    stiffness = "stiffness_factor" if "stiffness_factor" in fit.status else "youngs_modulus"
     if pasts := sorted(filter(is_past, lost)):
         return (
             f"The data do not determine {', '.join(pasts)}: a tension before the first row has an effect only if the "
@@ -334,15 +330,9 @@ def advice_on(fit: LeastSquaresFit, tables: Sequence[Measurements], lost: set[st
             f"{unknown}, although they hold tip angles or positions. Each needs a value that is measured in another "
             f"way{pulley}, or a prior."
         )
-    if lost == {"friction_coefficient", stiffness} and fit.combinations:
-        return (
-            f"Tensions of one tendon determine only friction_coefficient / {stiffness}. To separate the two, "
-            "add a pulley test (friction alone), tip angles or tip positions measured with the tensions, or a prior on "
-            "either."
-        )
-    if lost == {stiffness} and all("pulling_tension" in table for table in tables):
+    if all("pulling_tension" in table for table in tables):
         return (
             "A pulley test determines the friction alone. Add tip tensions, tip angles or tip positions of the "
             "manipulator."
         )
-    return f"{unknown}. Add tip angles or positions, a pulley test, or a prior."
+    return f"{unknown}. Add tip angles or tip positions, a pulley test (friction alone), or a prior."

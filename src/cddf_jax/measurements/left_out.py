@@ -1,4 +1,4 @@
-"""Rows that a fit leaves out: those that the user names, or those that the model contradicts.
+"""Rows that a fit leaves out: those that the user names.
 
 A row is named by its number in the file, as in messages. Only its readings are left out: with a history the row stays
 as a step of the path.
@@ -8,7 +8,6 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby
-from typing import Literal
 
 import numpy as np
 
@@ -16,7 +15,6 @@ from ..errors import InputError
 from .columns import is_reading
 from .table import Measurements
 
-CONTRADICTED: Literal["contradicted"] = "contradicted"
 FORM = 'rows such as "8, 14, 20-23"'
 
 Rows = str | Sequence[int]
@@ -99,7 +97,7 @@ def _numbers(rows: Rows) -> list[int]:
     found: list[int] = []
     for part in filter(None, re.split(r"[,;\s]+", re.sub(r"\s*-\s*", "-", rows))):
         if not (run := re.fullmatch(r"(\d+)(?:-(\d+))?", part)):
-            raise InputError(f"leave_out {rows!r}: {part!r} is not a row; write {FORM}, or {CONTRADICTED!r} alone")
+            raise InputError(f"leave_out {rows!r}: {part!r} is not a row; write {FORM}")
         first, last = int(run[1]), int(run[2] or run[1])
         if last < first:
             raise InputError(f"leave_out {rows!r}: {part} ends before it begins; write {last}-{first}")

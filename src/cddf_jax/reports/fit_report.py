@@ -267,7 +267,7 @@ def _figures(drawn: Sequence[str], missing: Mapping[str, str]) -> list[str]:
 
 
 def _stated(fit: Fit) -> list[str]:
-    lines = [f"Kinematics {fit.manipulator.kinematics}.", *fit.setting.in_words]
+    lines = [f"Kinematics {fit.manipulator.kinematics}.", *fit.options["setting"].in_words]
     lines += [f"marker {n} of {t.name}: {m}" for t in fit.tables for n, m in t.markers.items()]
     named = zip(fit.model.names, fit.model.experiments, strict=True)
     courses = {name: one.course for name, one in named if one.course is not None}
