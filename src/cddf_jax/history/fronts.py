@@ -13,15 +13,15 @@ from ..mechanics.friction import Pull, tension_rate
 from ..mechanics.march import FixedPoint
 from ..mechanics.problem import guarded_section, lay_out
 from ..numerics.arrays import zero_as
-from ..numerics.elements import Elements
+from ..numerics.elements import Elements, times
 from ..numerics.fixed_point import newton
 from ..robot.cross_section import planar, spatial
 from ..robot.manipulator import Manipulator
 from ..statics.solve import solve
+from .turns import NO_STEP, Number, Turns
 
-Number = Float[Array, ""]
 REFINEMENTS = 3  # by Newton's method
-BRACKETINGS = 5  # by the Illinois rule
+NARROWINGS = 6  # likewise, of the zero of a polynomial
 LEAST = 1e-9  # of the body: the least position of a front, for steps as small as rounding errors
 
 
@@ -32,6 +32,12 @@ class Motion(NamedTuple):
     direction: Number
     turned_at: Number  # base tension at the turn where the motion began, N; before it the tendon slid the other way
     from_rest: Bool[Array, ""]  # whether it is the first motion, which began at no turn
+
+
+def motions(path: Float[Array, " path"], turns: Turns) -> Motion:
+    """The motions to the base tensions of a path from rest, N."""
+    from_rest = turns.before == NO_STEP
+    return Motion(path, turns.direction, jnp.where(from_rest, 0.0, path[turns.before]), from_rest)
 
 
 def cut_at(body: Manipulator, arc_length: Number) -> Manipulator:
@@ -134,26 +140,18 @@ def _first_zero(cut: Elements, values: Float[Array, "P p"]) -> Number:
 
 
 def _zero_before(cut: Elements, values: Float[Array, " q"], point: UInt[Array, ""]) -> Number:
-    """The zero of the polynomial of one element between a point and the one before, by the Illinois rule, in [0, 1].
+    """The zero of the polynomial of one element between a point and the one before, by Newton's method, in [0, 1].
 
     Args:
         cut: the elements.
         values: at the start, the nodes and the end of the element.
         point: the start of the element, which is itself the zero, a node, or the end, counted from 0.
     """
-    points = jnp.asarray(cut.rule.points, cut.edges.dtype)
+    points, slopes = jnp.asarray(cut.rule.points, cut.edges.dtype), times(cut.rule.differentiation, values[1:-1])
 
-    def value(place: Number) -> Number:
-        return cut.lagrange(place) @ values[1:-1]
+    def nearer(place: Number) -> Number:
+        weights = cut.lagrange(place)
+        found = place - weights @ values[1:-1] / (weights @ slopes)
+        return jnp.clip(found, points[jnp.maximum(point, 1) - 1], points[point])
 
-    def narrow(state: tuple[Array, Array]) -> tuple[Array, Array]:
-        (a, b), (fa, fb) = state
-        slope = jnp.where(fb == fa, 1.0, fb - fa)
-        c = jnp.where(fb == fa, (a + b) / 2, jnp.clip(b - fb * (b - a) / slope, jnp.minimum(a, b), jnp.maximum(a, b)))
-        fc = value(c)
-        crossed = fc * fb < 0
-        return jnp.stack([jnp.where(crossed, b, a), c]), jnp.stack([jnp.where(crossed, fb, fa / 2), fc])
-
-    ends = jnp.stack([jnp.maximum(point, 1) - 1, point])
-    bracket = points[ends] + zero_as(values)  # shard_map wants the bracket to vary as the values do
-    return newton(narrow, (bracket, values[ends]), BRACKETINGS)[0][1]
+    return newton(nearer, points[point] + zero_as(values), NARROWINGS)  # shard_map wants it to vary as the values do
