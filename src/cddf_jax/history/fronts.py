@@ -54,8 +54,8 @@ def is_play_of_inverse(body: Manipulator) -> bool:
 def front_of(body: Manipulator, nodes: int, motion: Motion, *, refined: bool = True) -> Number:
     """The arc length, m, where the tension of a motion equals that of the motion before; the tip if all slides.
 
-    It has no derivative. Integrals along the body need none, because their integrands are continuous at the front. See
-    `moving_front` for the front with its derivative.
+    Within the body it has no derivative. Integrals along the body need none, because their integrands are continuous at
+    the front. See `moving_front` for the front with its derivative. At the tip it has that of the length.
 
     Args:
         body: with one tendon.
@@ -64,8 +64,8 @@ def front_of(body: Manipulator, nodes: int, motion: Motion, *, refined: bool = T
         refined: whether it must be exact to rounding errors. An error of the front changes integrals along the body by
             its square only.
     """
-    tension, direction, turned_at, from_rest = motion
-    body, tension, direction, turned_at = jax.lax.stop_gradient((body, tension, direction, turned_at))
+    tip = jnp.asarray(body.length)
+    body, (tension, direction, turned_at, from_rest) = jax.lax.stop_gradient((body, motion))
     length = jnp.asarray(body.length)
     ends = (tension, direction), (turned_at, -direction)
     slides = [lay_out(body, at_base[None], way[None], nodes) for at_base, way in ends]
@@ -76,7 +76,7 @@ def front_of(body: Manipulator, nodes: int, motion: Motion, *, refined: bool = T
     if refined and not is_play_of_inverse(body):  # else r is a polynomial, and the front is exact already
         found = newton(partial(_nearer, body, nodes, ends), front, REFINEMENTS)
         front = jnp.where(front < length, found, front)
-    return jax.lax.stop_gradient(jnp.where(from_rest, length, front))
+    return jnp.where(from_rest | (front >= length), tip, front)
 
 
 def moving_front(body: Manipulator, front: Number, here: Number, there: Number, direction: Number) -> Number:
