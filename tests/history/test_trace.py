@@ -329,6 +329,21 @@ def test_the_front_has_its_derivatives():
 
 
 @pytest.mark.slow
+def test_derivatives_by_the_length():
+    """Against central differences; of a pull, of a release whose front is inside, and of one that reaches the tip."""
+
+    def found(length):
+        options = {"bending_stiffness": 0.05, "friction_coefficient": 0.4}
+        body = cddf.Manipulator(length=length, tendons=[cddf.Tendon(0.01)], **options)
+        history = cddf.trace(body, [30.0, 20.0, 5.0], throw=False)
+        return jnp.concatenate([history.tip_angle, history.tip_tension, history.front, history.energies.work])
+
+    slopes = jax.jacfwd(found)(LENGTH)
+    differences = (found(LENGTH + 1e-6) - found(LENGTH - 1e-6)) / 2e-6
+    np.testing.assert_allclose(slopes, differences, rtol=1e-6, atol=1e-7)
+
+
+@pytest.mark.slow
 def test_a_history_carried_by_scan():
     """A history keeps its structure, from rest on; the states are those of the whole path."""
 

@@ -62,8 +62,8 @@ def test_a_path_by_either_is_the_path_by_displacement():
     kind = Following(driven, 24, 8, estimated=False)
     by_length = stepped_history(robot(), path, None, kind)
     flags = jnp.asarray(BY_TENSION[:, None])
-    numbers = np.where(flags, by_length.base_tension, path.goal)
-    mixed = stepped_history(robot(), path._replace(goal=numbers).partly_by_tension(flags), None, kind)
+    numbers = np.where(flags, by_length.base_tension, path.given)
+    mixed = stepped_history(robot(), path._replace(given=numbers).partly_by_tension(flags), None, kind)
     assert not np.any(mixed.status)
     for name in ("base_tension", "tip_tension", "tip_angle", "tip_position", "tendon_displacement"):
         np.testing.assert_allclose(getattr(mixed, name), getattr(by_length, name), rtol=1e-9, atol=1e-12)
@@ -80,7 +80,7 @@ def test_derivatives():
     numbers = np.where(flags, stepped_history(pair, path, None, kind).base_tension, lengths)
 
     def angles(numbers):
-        mixed = path._replace(goal=numbers).partly_by_tension(flags)
+        mixed = path._replace(given=numbers).partly_by_tension(flags)
         return stepped_history(pair, mixed, None, kind).tip_angle
 
     slopes = jax.jacfwd(angles)(numbers)

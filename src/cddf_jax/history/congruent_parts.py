@@ -7,7 +7,7 @@ Each step needs two equilibria, both from the base to its front: its own, and th
 """
 
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -24,8 +24,10 @@ from ..statics.equilibrium import Dense
 from ..statics.solve import solve
 from ..statics.status import Status, first_of
 from .fronts import Motion, cut_at, front_of
-from .turns import NO_STEP, Number, Turns
+from .history import stored_per_length
+from .turns import Number
 
+Tree = TypeVar("Tree")
 Heading = Float[Array, "*axes"]  # phi, rad, in the plane; in space R, whose columns are the axes, (3, 3)
 
 
@@ -36,7 +38,6 @@ class Onward(NamedTuple):
     position: Float[Array, " components"]  # m
     pulled_in: Number  # m, of the tendon
     stored: Number  # energy in body and tendon, J
-    given: Number  # energy that the tendon has given to the body or stored itself, J
     error: Number
     solved: Bool[Array, ""]
     status: Int[Array, ""]
@@ -47,40 +48,48 @@ class Slid(NamedTuple):
 
     end: Number  # the front, s, m
     tension: Number  # there, N
+    given: Number  # energy that the tendon has given to the body or stored itself, J
     added: Onward
 
 
-class Tip(NamedTuple):
-    """A traced body at its tip."""
+class Composed(NamedTuple):
+    """A traced body after a motion."""
 
-    tension: Number
-    added: Onward  # from the base on
+    base_tension: Number  # N
+    slid: Slid  # from the base to the front
+    rest: Onward  # from there to the tip
+    tip_tension: Number  # N
+
+    @property
+    def whole(self) -> Onward:
+        """From the base on."""
+        return _joined(self.slid.added, self.rest)
 
 
 def slid_up_to(body: Manipulator, nodes: int, tension: Number, direction: Number, front: Number) -> Slid:
     """The equilibrium between the base and a front."""
     found = solve(cut_at(body, front), tension, direction=direction, nodes=nodes, throw=False)
-    outside = jnp.sum(tension * body.tendon_outside_compliance)
+    stretch = jnp.sum(tension**2 * body.tendon_outside_compliance) / 2  # J, of the tendon outside the body
     solved = found._dense.solved
     # the status compares the direction with the travel from rest, which does not matter here
     status = jnp.where(found.status == Status.direction_contradicted, Status.successful, found.status)
     added = Onward(
         found.tip_angle if found.tip_frame is None else found.tip_frame,
         found.tip_position,
-        found.tendon_displacement[0] - outside,
-        stored_energy(found._dense),
-        given_energy(found._dense),
+        found.tendon_displacement[0],
+        stored_energy(found._dense) + stretch,
         found.error_estimate,
         solved,
         status,
     )
     # NaN of a solve that failed would spoil the derivatives of other steps
-    tension, added = jax.tree.map(lambda x: jnp.where(solved, x, jnp.zeros_like(x)), (found.tip_tension[0], added))
-    return Slid(front, tension, added._replace(status=status))
+    numbers = found.tip_tension[0], given_energy(found._dense) + stretch, added
+    tension, given, added = jax.tree.map(lambda x: jnp.where(solved, x, jnp.zeros_like(x)), numbers)
+    return Slid(front, tension, given, added._replace(status=status))
 
 
-def ends_of_motion(body: Manipulator, nodes: int, motion: Motion, *, refined: bool = True) -> tuple[Number, Slid, Slid]:
-    """The front of a motion, and two equilibria up to it: at the end of the motion, and at the turn where it began.
+def ends_of_motion(body: Manipulator, nodes: int, motion: Motion, *, refined: bool = True) -> tuple[Slid, Slid]:
+    """Two equilibria up to the front of a motion: at the end of the motion, and at the turn where it began.
 
     Args:
         body: with one tendon.
@@ -94,7 +103,7 @@ def ends_of_motion(body: Manipulator, nodes: int, motion: Motion, *, refined: bo
     directions = jnp.stack([direction, jnp.where(from_rest, 1.0, -1.0) * direction])
     found = jax.vmap(partial(slid_up_to, body, nodes, front=front))(jnp.stack([tension, turned_at]), directions)
     own, other = (jax.tree.map(lambda x, i=i: x[i], found) for i in range(2))
-    return front, own, other
+    return own, other
 
 
 def stored_energy(dense: Dense) -> Number:
@@ -107,10 +116,8 @@ def stored_energy(dense: Dense) -> Number:
     section = jax.vmap(jax.vmap(lambda s: guarded_section(body, s)))(cut.nodes)
     tension = tension_of(section, dense.base_tension, dense.states.nodes.pull)
     strain = strain_along(section, dense.base_tension, dense.states.nodes)
-    slip = partial(at_nodes(geometry.slip_rate, (0, 0, 0, None)), section, strain, tension)
-    stretch = tension * (slip(body.tendon_compliance) - slip(0.0 * body.tendon_compliance))
-    elastic = section.stiffness * at_nodes(geometry.elastic, (0, 0))(section, strain) ** 2
-    return jnp.sum(cut.gain(jnp.sum(elastic.reshape(*stretch.shape[:2], -1), axis=-1) + jnp.sum(stretch, axis=-1))) / 2
+    per_length = at_nodes(partial(stored_per_length, geometry), (0, 0, 0, None))
+    return jnp.sum(cut.gain(per_length(section, strain, tension, body.tendon_compliance)))
 
 
 def given_energy(dense: Dense) -> Number:
@@ -133,53 +140,55 @@ def given_energy(dense: Dense) -> Number:
     return jnp.sum(cut.gain(jnp.sum(tension * (shorter(tension) - mean), axis=-1)))
 
 
-def tips(body: Manipulator, own: Slid, other: Slid, turns: Turns) -> Tip:
-    """The tip after each step.
+def composed(body: Manipulator, below: Composed, motion: Motion, own: Slid, other: Slid) -> Composed:
+    """The body after a motion.
 
     Args:
-        body: of all steps.
-        own: the equilibrium of each motion up to its front.
-        other: that of the motion before it, up to the same front; unused where the motion began at rest.
-        turns: the remembered turns after each step.
+        body: with one tendon.
+        below: the body at the turn where the motion began; unused where it began at rest.
+        motion: of the tendon.
+        own, other: the equilibria of the motion and of the motion before it up to its front, see `ends_of_motion`.
     """
     length = jnp.asarray(body.length)
-    zero = zero_as((own, length))
-    nothing = Onward(*pose_of_base(body, zero), zero, zero, zero, zero, zero == 0, first_of((zero > 1, Status.locked)))
-    max_turns = turns.open.shape[1]
-    slots = jnp.arange(max_turns)
+    rest = _joined(_backwards(other.added), below.whole)
+    missed = jnp.abs(own.tension - other.tension) / jnp.where(other.tension > 0, other.tension, 1.0)
+    rest = rest._replace(error=jnp.where(own.end < length, jnp.maximum(rest.error, missed), 0.0))
+    rest = jax.tree.map(partial(jnp.where, motion.from_rest), _nothing(body, zero_as(own)), rest)
+    tension = jnp.where(motion.from_rest | (own.end >= length), own.tension, below.tip_tension)
+    return Composed(motion.tension, own, rest, tension)
 
-    def add(stack: tuple[Slid, Onward, Float[Array, " turns"]], given: tuple[Slid, Slid, Turns]):
-        own, other, turn = given
-        end, onward, tip_tension = jax.tree.map(lambda x: x[jnp.maximum(turn.place - 1, 0)], stack)
-        first = turn.before == NO_STEP
-        between = _joined(_backwards(other.added), end.added)
-        rest = jax.tree.map(partial(jnp.where, own.end < end.end), _joined(between, onward), onward)
-        missed = jnp.abs(own.tension - other.tension) / jnp.where(other.tension > 0, other.tension, 1.0)
-        rest = rest._replace(
-            error=jnp.maximum(rest.error, jnp.where(own.end < length, missed, 0.0)),
-            solved=rest.solved & end.added.solved,  # all equilibria that enter must be known
-            status=_first_failure(rest.status, end.added.status),
-        )
-        rest = jax.tree.map(partial(jnp.where, first), nothing, rest)
-        tension = jnp.where(first | (own.end >= length), own.tension, tip_tension)
-        tip = _joined(own.added, rest)
-        new = own, rest, tension
-        here = slots == turn.place
-        stack = jax.tree.map(lambda x, y: jnp.where(here.reshape(-1, *[1] * y.ndim), y, x), stack, new)
-        status = jnp.where(turn.too_many, Status.too_many_turns, tip.status)
-        return stack, Tip(tension, tip._replace(status=status, solved=tip.solved & ~turn.too_many))
 
-    first = jax.tree.map(lambda x: jnp.zeros_like(x, shape=(max_turns, *x.shape[1:])), (own, own))
-    empty = first[0], jax.tree.map(lambda x: jnp.broadcast_to(x, (max_turns, *x.shape)), nothing), first[0].end
-    empty = jax.tree.map(lambda x: x + zero.astype(x.dtype) if x.dtype != bool else x, empty)
-    return jax.lax.scan(add, empty, (own, other, turns))[1]
+def unknown(body: Manipulator, zero: Number, count: int) -> Composed:
+    """Bodies of which nothing is known, with the precision and the devices of `zero`."""
+    nothing = _nothing(body, zero)
+    one = Composed(zero, Slid(zero, zero, zero, nothing), nothing, zero)
+    return jax.tree.map(lambda x: jnp.broadcast_to(x, (count, *x.shape)), one)
+
+
+def put(values: Tree, place: Int[Array, ""], value: Tree) -> Tree:
+    """The values, whose first axis is that of places, with another one at one place."""
+
+    def one(old: Array, new: Array) -> Array:
+        here = jnp.arange(old.shape[0]) == place
+        return jnp.where(here.reshape(-1, *[1] * new.ndim), new, old)
+
+    return jax.tree.map(one, values, value)
+
+
+def at_place(values: Tree, place: Int[Array, ""] | int) -> Tree:
+    """The value at one place; the first one where the place is below 0."""
+    return jax.tree.map(lambda x: x[jnp.maximum(place, 0)], values)
+
+
+def _nothing(body: Manipulator, zero: Number) -> Onward:
+    return Onward(*pose_of_base(body, zero), zero, zero, zero, zero == 0, first_of((zero > 1, Status.locked)))
 
 
 def _backwards(part: Onward) -> Onward:
     """From the end of a part to its start, in the frame of its end."""
     back = turned_back(part.heading)
-    position, sums = -rotated(part.position, back), (-part.pulled_in, -part.stored, -part.given)
-    return Onward(back, position, *sums, part.error, part.solved, part.status)
+    position = -rotated(part.position, back)
+    return Onward(back, position, -part.pulled_in, -part.stored, part.error, part.solved, part.status)
 
 
 def _joined(here: Onward, further: Onward) -> Onward:
@@ -188,7 +197,6 @@ def _joined(here: Onward, further: Onward) -> Onward:
         here.position + rotated(further.position, here.heading),
         here.pulled_in + further.pulled_in,
         here.stored + further.stored,
-        here.given + further.given,
         jnp.maximum(here.error, further.error),
         here.solved & further.solved,
         _first_failure(here.status, further.status),

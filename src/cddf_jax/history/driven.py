@@ -4,8 +4,8 @@ The displacement or tip angle that a motion adds since its turn comes only from 
 slides. It grows throughout the motion. So displacement or angle turns where the tension turns, and each step has one
 unknown. Just after a turn it grows with the square of the change in tension; so the search compares square roots.
 
-In space the tip angle also depends on how the rest of the body is turned, which is remembered at each turn. There it
-need not grow throughout a motion. Where it does not, the angle may be missed: the status is then `unreachable`.
+In space the tip angle also depends on how the rest of the body is turned. There it need not grow throughout a motion.
+Where it does not, the angle may be missed: the status is then `unreachable`.
 """
 
 from collections.abc import Callable
@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..numerics.fixed_point import until
 from ..robot.manipulator import Manipulator
 from ..statics.targets import bending_tension
-from .congruent_parts import Heading, ends_of_motion, pose_of_base, slid_up_to, tilt_of, turned_back, turned_on
+from .congruent_parts import Composed, at_place, composed, ends_of_motion, put, tilt_of
 from .fronts import Motion
 from .turns import NO_STEP, Number, Stack, Turns, go_on
 
@@ -27,22 +27,12 @@ DOUBLINGS = 24  # of a tension, until it is large enough
 EVALUATIONS = 60  # at most; most searches take ten
 
 
-class Gained(NamedTuple):
-    """What a motion adds to the quantity since it turned."""
-
-    amount: Number
-    heading: Heading | None  # of the tip after it, for a tip angle in space
-
-
-Gain = Callable[[Number, Number], Gained]  # from the tensions before and after a motion
-
-
 class Drive(NamedTuple):
-    """The base tensions of a path of displacements or tip angles, and whether they exist."""
+    """The base tensions of a path of displacements or tip angles."""
 
     tension: Float[Array, " steps"]  # N
-    slack: Bool[Array, " steps"]  # the tendon would have to push, and is slack
-    unreachable: Bool[Array, " steps"]
+    reached: Bool[Array, " steps"]  # whether it gives what was wanted, to half the digits
+    turns: Turns
 
 
 def driven(
@@ -51,11 +41,9 @@ def driven(
     quantity: str,
     wanted: Float[Array, " steps"],
     stack: Stack,
-    tensions: Float[Array, " turns"],
-    values: Float[Array, " turns"],
-    headings: Float[Array, "turns *axes"],
+    bodies: Composed,
     first_step: int,
-) -> tuple[Drive, Turns]:
+) -> Drive:
     """Find the base tensions of a path.
 
     Args:
@@ -64,119 +52,77 @@ def driven(
         quantity: "displacement", m, or "tip_angle", rad.
         wanted: its values after each step.
         stack: the remembered turns before the first step.
-        tensions, values, headings: base tension, N, quantity, and heading of the tip at the turns of the stack.
+        bodies: those at the turns of the stack.
         first_step: the number of the first step.
     """
-    constant = jax.lax.stop_gradient(body)
-    in_space = body.in_space and quantity == "tip_angle"
-    at_rest = _heading_at_rest(body, nodes, wanted) if in_space else None
-
-    def advance(state: _Driven, given: tuple[Number, Int[Array, ""]]) -> tuple[_Driven, tuple[Drive, Turns]]:
-        value, step = given
-        stack, turn = go_on(state.stack, jax.lax.stop_gradient(value), step)
-        below = jnp.maximum(turn.place - 1, 0)
-        from_rest = turn.before == NO_STEP
-        turned_at, since = (jnp.where(from_rest, 0.0, x[below]) for x in (state.tensions, state.values))
-        heading = None
-        if at_rest is not None and state.headings is not None:
-            heading = jnp.where(from_rest, at_rest, state.headings[below])
-            since = tilt_of(heading)
-        gain, constant_gain = (
-            partial(_gain, one, nodes, quantity, turn.direction, from_rest, there)
-            for one, there in ((body, heading), (constant, jax.lax.stop_gradient(heading)))
-        )
-        drive, added = _tension_for(gain, constant_gain, turned_at, turn.direction, value - since, first_try)
-        here = jnp.arange(stack.step.size) == turn.place
-        values = jnp.where(here, since + added.amount, state.values)
-        headings = state.headings
-        if headings is not None and added.heading is not None:
-            headings = jnp.where(here[:, None, None], added.heading, headings)
-        new = _Driven(
-            stack._replace(value=jax.lax.stop_gradient(values)),
-            jnp.where(here, drive.tension, state.tensions),
-            values,
-            headings,
-        )
-        return new, (drive, turn)
-
+    constant, value_of = jax.lax.stop_gradient(body), partial(_value_of, body, quantity)
+    wanted = _side(body, quantity) * wanted
+    zero = 0.0 * wanted[0]
+    at_rest = _after(body, nodes, at_place(bodies, 0), Motion(zero, zero + 1, zero, zero == 0))
     first_try = 1e-3 * bending_tension(constant)  # N, a small tension
-    known = stack._replace(value=jax.lax.stop_gradient(values))
-    start = _Driven(known, tensions, values, headings if in_space else None)
-    return jax.lax.scan(advance, start, (wanted, first_step + jnp.arange(wanted.size)))[1]
+    scale = 1.0 if quantity == "tip_angle" else jnp.asarray(body.length)
+
+    def advance(state: tuple[Stack, Composed], given: tuple[Number, Int[Array, ""]]):
+        (stack, bodies), (value, step) = state, given
+        stack, turn = go_on(stack, jax.lax.stop_gradient(value), step)
+        from_rest = turn.before == NO_STEP
+        below = jax.tree.map(partial(jnp.where, from_rest), at_rest, at_place(bodies, turn.place - 1))
+
+        def after(body: Manipulator, below: Composed, tension: Number) -> Composed:
+            return _after(body, nodes, below, Motion(tension, turn.direction, below.base_tension, from_rest))
+
+        def gain(body: Manipulator, below: Composed, tension: Number) -> Number:
+            return value_of(after(body, below, tension)) - value_of(below)
+
+        gains = partial(gain, body, below), partial(gain, constant, jax.lax.stop_gradient(below))
+        tension = _tension_for(*gains, below.base_tension, turn.direction, value - value_of(below), first_try)
+        new = after(body, below, tension)
+        reached = jnp.abs(value_of(new) - value) <= jnp.finfo(value.dtype).eps ** 0.5 * scale
+        values = put(stack.value, turn.place, jax.lax.stop_gradient(jnp.where(reached, value, value_of(new))))
+        return (stack._replace(value=values), put(bodies, turn.place, new)), Drive(tension, reached, turn)
+
+    stack = stack._replace(value=jax.lax.stop_gradient(jax.vmap(value_of)(bodies)))
+    return jax.lax.scan(advance, (stack, bodies), (wanted, first_step + jnp.arange(wanted.size)))[1]
 
 
-class _Driven(NamedTuple):
-    stack: Stack
-    tensions: Float[Array, " turns"]  # at its turns, N
-    values: Float[Array, " turns"]  # those of the stack, with their derivatives
-    headings: Float[Array, "turns 3 3"] | None  # of the tip, for a tip angle in space
+def _after(body: Manipulator, nodes: int, below: Composed, motion: Motion) -> Composed:
+    return composed(body, below, motion, *ends_of_motion(body, nodes, motion))
 
 
-def _gain(
-    body: Manipulator,
-    nodes: int,
-    quantity: str,
-    direction: Number,
-    from_rest: Bool[Array, ""],
-    heading: Heading | None,
-    turned_at: Number,
-    tension: Number,
-) -> Gained:
-    """How much a motion adds to the quantity since it turned, with the tip at `heading`."""
-    _, own, other = ends_of_motion(body, nodes, Motion(tension, direction, turned_at, from_rest))
-    if heading is not None:  # beyond the front the body keeps its shape
-        rest = turned_on(turned_back(other.added.heading), heading)
-        turned = jnp.where(from_rest, own.added.heading, turned_on(own.added.heading, rest))
-        turned = jnp.where(own.added.solved & other.added.solved, turned, heading)
-        return Gained(tilt_of(turned) - tilt_of(heading), turned)
-    side = side_of(body, quantity)
-    values = side * own.added.heading, side * other.added.heading
-    outside = 0.0
-    if quantity == "displacement":
-        values = own.added.pulled_in, other.added.pulled_in
-        outside = (tension - turned_at) * jnp.sum(body.tendon_outside_compliance)
-    return Gained(outside + values[0] - jnp.where(from_rest, 0.0, values[1]), None)
+def _value_of(body: Manipulator, quantity: str, composed: Composed) -> Number:
+    """The quantity, with the sign with which it grows while the tendon is pulled."""
+    whole = composed.whole
+    return whole.pulled_in if quantity == "displacement" else _side(body, quantity) * tilt_of(whole.heading)
 
 
-def side_of(body: Manipulator, quantity: str) -> int:
-    """The sign with which a quantity grows while the tendon is pulled: -1 for the tip angle of one with side = -1."""
+def _side(body: Manipulator, quantity: str) -> int:
+    """-1 for the tip angle of a tendon with side = -1."""
     return body.tendons[0].side if quantity == "tip_angle" and not body.in_space else 1
 
 
-def _heading_at_rest(body: Manipulator, nodes: int, like: Array) -> Heading:
-    """The heading of the tip without tension."""
-    zero = jnp.zeros_like(like[0])
-    if body.rest_curvature is None:
-        return pose_of_base(body, zero)[0]
-    return slid_up_to(body, nodes, zero, zero + 1, jnp.asarray(body.length)).added.heading
-
-
 def _tension_for(
-    gain: Gain, constant_gain: Gain, turned_at: Number, direction: Number, wanted: Number, first_try: Number
-) -> tuple[Drive, Gained]:
-    """The tension of a motion that adds the wanted amount, and what it adds; the search itself has no derivatives."""
+    gain: Callable[[Number], Number],
+    constant_gain: Callable[[Number], Number],
+    turned_at: Number,
+    direction: Number,
+    wanted: Number,
+    first_try: Number,
+) -> Number:
+    """The tension of a motion that adds the wanted amount, or the nearest one; the search itself has no derivatives."""
     fixed = jax.lax.stop_gradient
     start, aim = fixed(turned_at), fixed(wanted * direction)
     target = jnp.sqrt(jnp.maximum(aim, 0.0))
 
     def missing(change: Number) -> Number:
-        added = constant_gain(start, start + direction * change).amount * direction
-        return jnp.sqrt(jnp.maximum(added, 0.0)) - target
+        return jnp.sqrt(jnp.maximum(constant_gain(start + direction * change) * direction, 0.0)) - target
 
     most = jnp.where(aim > 0, jnp.where(direction > 0, first_try * 2.0**DOUBLINGS, start), 0.0)
     change, enough = _search(missing, -target, first_try, most)
     near = start + direction * change
-
-    (value, heading), (slope, turning) = jax.jvp(partial(gain, turned_at), (near,), (jnp.ones_like(near),))
-    moves = aim > 0
-    exact = moves & enough & (fixed(slope) > 0)
+    value, slope = jax.jvp(gain, (near,), (jnp.ones_like(near),))
+    exact = (aim > 0) & enough & (fixed(slope) > 0)
     follows = near - (value - wanted) / fixed(jnp.where(exact, slope, 1.0))  # with the derivatives of the root
-    tension = jnp.where(exact, follows, jnp.where(moves, near, turned_at))
-    slack = jnp.where(direction > 0, (aim < 0) & (start == 0), moves & ~enough)
-    added = jnp.where(exact, wanted, jnp.where(moves, value, 0.0))
-    if heading is not None:
-        heading = heading + jnp.where(exact, fixed(turning) * (tension - near), 0.0)
-    return Drive(tension, slack, moves & ~slack & ~enough), Gained(added, heading)
+    return jnp.where(exact, follows, jnp.where(aim > 0, near, turned_at))
 
 
 class _Bracket(NamedTuple):

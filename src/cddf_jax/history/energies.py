@@ -20,7 +20,7 @@ from ..numerics.fixed_point import newton
 from ..robot.manipulator import Manipulator
 from ..statics.solve import solve
 from .congruent_parts import ends_of_motion
-from .fronts import Motion, is_play_of_inverse, left_of
+from .fronts import Motion, left_of, motions
 from .turns import NO_STEP, Number, Turns
 
 WorkAndLoss = Float[Array, "... 2"]  # J
@@ -29,10 +29,8 @@ REFINEMENTS = 5  # of the tension at which a front passes an arc length, by Newt
 
 def work_and_loss(body: Manipulator, nodes: int, path: Float[Array, " path"], turns: Turns) -> WorkAndLoss:
     """The work at the base of each step of a path from rest, and the part of it that is lost to friction, J."""
-    from_rest = turns.before == NO_STEP
-    turned_at = jnp.where(from_rest, 0.0, path[turns.before])
-    there = Motion(path, turns.direction, turned_at, from_rest)
-    back = Motion(turned_at, -turns.direction, path, from_rest & False)
+    there = motions(path, turns)
+    back = Motion(there.turned_at, -turns.direction, path, there.from_rest & False)
     turned_from = jnp.append(turns.direction[1:] != turns.direction[:-1], False)  # else no step goes back from it
     needed = jnp.concatenate([jnp.ones_like(turned_from), turned_from])
 
@@ -64,14 +62,12 @@ def _of_step(turns: Turns, there: WorkAndLoss, back: WorkAndLoss, step: Int[Arra
 def _motion(body: Manipulator, nodes: int, motion: Motion) -> WorkAndLoss:
     """Work and loss of a motion since it turned, J."""
     tension, _, turned_at, from_rest = motion
-    compliance = jnp.sum(body.tendon_outside_compliance)
 
     def since_turn(tension: Number) -> WorkAndLoss:
         """The length pulled in, m, and the energy that the tendon has given to the body or stored itself, J."""
-        _, own, other = ends_of_motion(body, nodes, motion._replace(tension=tension), refined=False)
-        before = jnp.where(from_rest, 0.0, jnp.stack([other.added.pulled_in, other.added.given]))
-        outside = jnp.stack([tension - turned_at, (tension**2 - turned_at**2) / 2]) * compliance
-        return jnp.stack([own.added.pulled_in, own.added.given]) - before + outside
+        own, other = ends_of_motion(body, nodes, motion._replace(tension=tension), refined=False)
+        before = jnp.where(from_rest, 0.0, jnp.stack([other.added.pulled_in, other.given]))
+        return jnp.stack([own.added.pulled_in, own.given]) - before
 
     cuts = jnp.stack([turned_at, _all_slides_at(body, nodes, motion), tension])
     rule, width = gauss_rule(nodes), jnp.diff(cuts)[:, None]
@@ -90,9 +86,6 @@ def _all_slides_at(body: Manipulator, nodes: int, motion: Motion) -> Number:
     body, (tension, direction, turned_at, from_rest) = jax.lax.stop_gradient((body, motion))
     before = solve(body, turned_at, direction=-direction, nodes=nodes, throw=False).tip_tension[0]
     there = jnp.where(from_rest, 0.0, before)
-    double = 2 * turned_at - there
-    # without drag, 1/T differs between base and front by as much as along the motion before, with the other sign
-    found = jnp.where(double > 0, turned_at * there / jnp.where(double > 0, double, 1.0), there)
 
     def nearer(tension: Number) -> Number:
         value, slope = jax.jvp(missing, (tension,), (jnp.ones_like(tension),))
@@ -102,7 +95,6 @@ def _all_slides_at(body: Manipulator, nodes: int, motion: Motion) -> Number:
         pull = FixedPoint()(lay_out(body, tension[None], direction[None], nodes)).tip.pull
         return (left_of(tension, pull) - there * pull.ratio)[0]
 
-    if not is_play_of_inverse(body):
-        found = newton(nearer, found, REFINEMENTS)
+    found = newton(nearer, turned_at, REFINEMENTS)  # exact at once without drag, where r is linear in the tension
     lowest, highest = jnp.minimum(turned_at, tension), jnp.maximum(turned_at, tension)
     return jax.lax.stop_gradient(jnp.where(jnp.isfinite(found), jnp.clip(found, lowest, highest), tension))

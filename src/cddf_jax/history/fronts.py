@@ -13,15 +13,15 @@ from ..mechanics.friction import Pull, tension_rate
 from ..mechanics.march import FixedPoint
 from ..mechanics.problem import guarded_section, lay_out
 from ..numerics.arrays import zero_as
-from ..numerics.elements import Elements
+from ..numerics.elements import Elements, times
 from ..numerics.fixed_point import newton
 from ..robot.cross_section import planar, spatial
 from ..robot.manipulator import Manipulator
 from ..statics.solve import solve
+from .turns import NO_STEP, Number, Turns
 
-Number = Float[Array, ""]
 REFINEMENTS = 3  # by Newton's method
-BRACKETINGS = 5  # by the Illinois rule
+NARROWINGS = 6  # likewise, of the zero of a polynomial
 LEAST = 1e-9  # of the body: the least position of a front, for steps as small as rounding errors
 
 
@@ -32,6 +32,12 @@ class Motion(NamedTuple):
     direction: Number
     turned_at: Number  # base tension at the turn where the motion began, N; before it the tendon slid the other way
     from_rest: Bool[Array, ""]  # whether it is the first motion, which began at no turn
+
+
+def motions(path: Float[Array, " path"], turns: Turns) -> Motion:
+    """The motions to the base tensions of a path from rest, N."""
+    from_rest = turns.before == NO_STEP
+    return Motion(path, turns.direction, jnp.where(from_rest, 0.0, path[turns.before]), from_rest)
 
 
 def cut_at(body: Manipulator, arc_length: Number) -> Manipulator:
@@ -48,8 +54,8 @@ def is_play_of_inverse(body: Manipulator) -> bool:
 def front_of(body: Manipulator, nodes: int, motion: Motion, *, refined: bool = True) -> Number:
     """The arc length, m, where the tension of a motion equals that of the motion before; the tip if all slides.
 
-    It has no derivative. Integrals along the body need none, because their integrands are continuous at the front. See
-    `moving_front` for the front with its derivative.
+    Within the body it has no derivative. Integrals along the body need none, because their integrands are continuous at
+    the front. See `moving_front` for the front with its derivative. At the tip it has that of the length.
 
     Args:
         body: with one tendon.
@@ -58,8 +64,8 @@ def front_of(body: Manipulator, nodes: int, motion: Motion, *, refined: bool = T
         refined: whether it must be exact to rounding errors. An error of the front changes integrals along the body by
             its square only.
     """
-    tension, direction, turned_at, from_rest = motion
-    body, tension, direction, turned_at = jax.lax.stop_gradient((body, tension, direction, turned_at))
+    tip = jnp.asarray(body.length)
+    body, (tension, direction, turned_at, from_rest) = jax.lax.stop_gradient((body, motion))
     length = jnp.asarray(body.length)
     ends = (tension, direction), (turned_at, -direction)
     slides = [lay_out(body, at_base[None], way[None], nodes) for at_base, way in ends]
@@ -70,7 +76,7 @@ def front_of(body: Manipulator, nodes: int, motion: Motion, *, refined: bool = T
     if refined and not is_play_of_inverse(body):  # else r is a polynomial, and the front is exact already
         found = newton(partial(_nearer, body, nodes, ends), front, REFINEMENTS)
         front = jnp.where(front < length, found, front)
-    return jax.lax.stop_gradient(jnp.where(from_rest, length, front))
+    return jnp.where(from_rest | (front >= length), tip, front)
 
 
 def moving_front(body: Manipulator, front: Number, here: Number, there: Number, direction: Number) -> Number:
@@ -134,26 +140,18 @@ def _first_zero(cut: Elements, values: Float[Array, "P p"]) -> Number:
 
 
 def _zero_before(cut: Elements, values: Float[Array, " q"], point: UInt[Array, ""]) -> Number:
-    """The zero of the polynomial of one element between a point and the one before, by the Illinois rule, in [0, 1].
+    """The zero of the polynomial of one element between a point and the one before, by Newton's method, in [0, 1].
 
     Args:
         cut: the elements.
         values: at the start, the nodes and the end of the element.
         point: the start of the element, which is itself the zero, a node, or the end, counted from 0.
     """
-    points = jnp.asarray(cut.rule.points, cut.edges.dtype)
+    points, slopes = jnp.asarray(cut.rule.points, cut.edges.dtype), times(cut.rule.differentiation, values[1:-1])
 
-    def value(place: Number) -> Number:
-        return cut.lagrange(place) @ values[1:-1]
+    def nearer(place: Number) -> Number:
+        weights = cut.lagrange(place)
+        found = place - weights @ values[1:-1] / (weights @ slopes)
+        return jnp.clip(found, points[jnp.maximum(point, 1) - 1], points[point])
 
-    def narrow(state: tuple[Array, Array]) -> tuple[Array, Array]:
-        (a, b), (fa, fb) = state
-        slope = jnp.where(fb == fa, 1.0, fb - fa)
-        c = jnp.where(fb == fa, (a + b) / 2, jnp.clip(b - fb * (b - a) / slope, jnp.minimum(a, b), jnp.maximum(a, b)))
-        fc = value(c)
-        crossed = fc * fb < 0
-        return jnp.stack([jnp.where(crossed, b, a), c]), jnp.stack([jnp.where(crossed, fb, fa / 2), fc])
-
-    ends = jnp.stack([jnp.maximum(point, 1) - 1, point])
-    bracket = points[ends] + zero_as(values)  # shard_map wants the bracket to vary as the values do
-    return newton(narrow, (bracket, values[ends]), BRACKETINGS)[0][1]
+    return newton(nearer, points[point] + zero_as(values), NARROWINGS)  # shard_map wants it to vary as the values do

@@ -3,6 +3,7 @@
 import dataclasses
 from abc import abstractmethod
 from collections.abc import Sequence
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -12,8 +13,11 @@ from jaxtyping import Array, ArrayLike, Float, Int
 
 from ..errors import InputError
 from ..mechanics.fields import AnyFields, tendons_first
+from ..mechanics.friction import PerTendon
+from ..mechanics.geometry import Geometry
 from ..numerics.arrays import words_or_shapes
 from ..numerics.given_numbers import check_numbers
+from ..robot.cross_section import AnySection
 from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import axis_of_tip, nan_unless
 from ..statics.status import Status, in_words, words_of
@@ -57,6 +61,15 @@ class Energies(eqx.Module):
     # for one tendon without loads the work less what the tendon has given to the body and stored; else an integral
     friction_loss: Float[Array, " steps"]
     stored_energy: Float[Array, " steps"]  # in the bent body and the stretched tendons
+
+
+def stored_per_length(
+    geometry: Geometry, section: AnySection, strain: Array, tension: PerTendon, compliance: PerTendon
+) -> Float[Array, ""]:
+    """The energy of the strains of a cross-section and of the stretch of its tendons, J/m."""
+    slip = partial(geometry.slip_rate, section, strain, tension)
+    elastic = section.stiffness * geometry.elastic(section, strain) ** 2
+    return (jnp.sum(elastic) + jnp.sum(tension * (slip(compliance) - slip(0.0 * compliance)))) / 2
 
 
 ENERGIES = tuple(field.name for field in dataclasses.fields(Energies))

@@ -14,6 +14,7 @@ from ..numerics.arrays import largest_size
 from ..robot.cross_section import where_present
 from ..statics.equilibrium import nan_unless
 from .grid import Along, Given, Goal, Grid, Node, Number, along
+from .history import stored_per_length
 from .increment import OnGrid, Setting, after_increment
 
 AT_LIMIT = 1e-3  # a tendon counts as sliding where |z| is above 1 less this
@@ -139,12 +140,10 @@ def under_no_loads(grid: Grid, instant: Instant) -> Instant:
 def stored_in(grid: Grid, instant: Instant) -> Number:
     """The energy of bending and of the stretch of the tendons, J."""
     nodes, geometry = instant.body.nodes, grid.geometry
-    strain, shorter = grid.at_all(nodes, instant.given.force, instant.body.held)
+    strain = grid.at_all(nodes, instant.given.force, instant.body.held)[0]
     tension = where_present(grid.sections, nodes.tension[:-1])
-    bare = jax.vmap(geometry.slip_rate, (0, 0, 0, None))(grid.sections, strain, tension, 0.0 * grid.stretch)
-    elastic = jax.vmap(geometry.elastic)(grid.sections, strain)
-    bending = (grid.sections.stiffness * elastic**2).reshape(len(tension), -1)
-    density = (jnp.sum(bending, axis=1) + jnp.sum(tension * (shorter - bare), axis=1)) / 2
+    per_length = jax.vmap(partial(stored_per_length, geometry), (0, 0, 0, None))
+    density = per_length(grid.sections, strain, tension, grid.stretch)
     return jnp.sum(grid.weights * density) + jnp.sum(grid.free_stretch * nodes.tension[0] ** 2) / 2
 
 
@@ -215,11 +214,6 @@ def _tension_scale(grid: Grid, tip: TipPose) -> Number:
     drag = grid.sections.drag
     dragged = 0.0 if drag is None else jnp.max(jnp.sum(grid.widths[:, None] * drag, axis=0))
     return jnp.maximum(jnp.max(tip.tension), 1e-3) + dragged
-
-
-def pushed(grid: Grid, instant: Instant, tip: TipPose) -> Number:
-    """The largest push of a tendon over the tension scale: an error."""
-    return jnp.maximum(-jnp.min(instant.body.nodes.tension), 0.0) / _tension_scale(grid, tip)
 
 
 def crosses(grid: Grid, instant: Instant) -> Bool[Array, ""]:

@@ -11,7 +11,7 @@ from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from ..numerics.given_numbers import check_numbers
-from ..robot.loads import Loads
+from ..robot.loads import Loads, PointLoad
 from ..robot.manipulator import Manipulator
 from ..statics.targets import Displacement, TipAngle, TipTension, TotalTension
 from .grid import Goal
@@ -23,35 +23,29 @@ Driven = ArrayLike | AlongAPath | Sequence[ArrayLike | AlongAPath | Sequence[Arr
 class Path(NamedTuple):
     """The given numbers after each step; the axis of steps comes first."""
 
-    tension: Float[Array, "steps tendons"]  # N; zero where a goal sets the tendon
-    goal: Float[Array, "steps tendons"]  # m, rad or N of a driven tendon; zero where its tension is given
+    given: Float[Array, "steps tendons"]  # base tensions, N, or what is given of driven tendons, m, rad or N
     by_goal: Float[Array, "steps tendons"]  # 1 where a goal sets the tendon, else 0
     loads: Loads | None
     resting: Loads | None = None  # that act before the first step; without an axis of steps
 
     def under(self, loads: Loads) -> "Path":
         """The same path under constant loads."""
-        count = self.tension.shape[0]
+        count = self.given.shape[0]
         return self._replace(loads=jax.tree.map(lambda x: jnp.broadcast_to(x, (count, *x.shape)), loads))
 
-    def before(self, tension: Float[Array, " tendons"]) -> "Path":
-        """One step to these tensions, under the loads that act before the first step, or under none."""
+    def partly_by_tension(self, flags: Bool[Array, "steps tendons"]) -> "Path":
+        """The same path, but where a flag says so, a base tension is given, N."""
+        return self._replace(by_goal=jnp.where(flags, 0.0, self.by_goal))
+
+    def behind(self, tension: Float[Array, " tendons"]) -> "Path":
+        """The same path behind a step to these tensions, under the loads that act before the first step, or none."""
         resting = self.resting
         if resting is None:
             resting = jax.tree.map(lambda x: jnp.zeros_like(x[0]), self.loads)
-        loads = jax.tree.map(lambda x: x[None], resting)
-        none = jnp.zeros_like(self.goal[:1])
-        return Path(tension[None].astype(self.tension.dtype), none, none, loads, self.resting)
-
-    def partly_by_tension(self, flags: Bool[Array, "steps tendons"]) -> "Path":
-        """The same path, but where a flag says so, the goal is a base tension, N."""
-        goal, by_goal = (jnp.where(flags, 0.0, own) for own in (self.goal, self.by_goal))
-        return self._replace(tension=jnp.where(flags, self.goal, self.tension), goal=goal, by_goal=by_goal)
-
-    def behind(self, tension: Float[Array, " tendons"]) -> "Path":
-        """The same path behind one more step, as in `before`."""
-        parts = [path._replace(resting=None) for path in (self.before(tension), self)]
-        return jax.tree.map(lambda *x: jnp.concatenate(x), *parts)._replace(resting=self.resting)
+        first = Path(tension.astype(self.given.dtype), jnp.zeros_like(self.by_goal[0]), resting)
+        steps = self._replace(resting=None)
+        path = jax.tree.map(lambda one, all_steps: jnp.concatenate([one[None], all_steps]), first, steps)
+        return path._replace(resting=self.resting)
 
 
 def as_numbers(values: object, name: str) -> Array:
@@ -80,19 +74,19 @@ def given_path(
         ValueError: for wrong shapes.
         TypeError: for targets that drive no tendon along a path.
     """
-    tension, goal, driven = _actuation(manipulator, base_tension)
-    by_goal = jnp.zeros_like(goal).at[:, [one.tendon for one in driven]].set(1.0) if driven else 0.0 * goal
+    given, driven = _actuation(manipulator, base_tension)
+    by_goal = jnp.zeros_like(given).at[:, [one.tendon for one in driven]].set(1.0) if driven else 0.0 * given
     if manipulator.in_space and loads is not None:
         loads = loads.with_components(3) if isinstance(loads, Loads) else [one.with_components(3) for one in loads]
-    along = _loads(loads, tension.shape[0], manipulator.in_space)
-    path = Path(tension, goal, by_goal, along, _resting(loads, along))
+    along = _loads(loads, given.shape[0], manipulator.in_space)
+    path = Path(given, by_goal, along, _resting(loads, along))
     if path.loads is None and any(each.quantity == "tip_angle" for each in driven):
         still = Loads().with_components(manipulator.components)  # the headings are found with the loads
-        path = path.under(jax.tree.map(lambda x: jnp.asarray(x, tension.dtype), still))
+        path = path.under(jax.tree.map(lambda x: jnp.asarray(x, given.dtype), still))
     return path, driven
 
 
-def _actuation(manipulator: Manipulator, base_tension: Driven) -> tuple[Array, Array, tuple[Goal, ...]]:
+def _actuation(manipulator: Manipulator, base_tension: Driven) -> tuple[Array, tuple[Goal, ...]]:
     count = manipulator.num_tendons
     entries = base_tension if isinstance(base_tension, tuple | list) else [base_tension]
     for entry in entries:
@@ -114,7 +108,7 @@ def _actuation(manipulator: Manipulator, base_tension: Driven) -> tuple[Array, A
                 f"trace: base_tension must hold tensions, N, of the shape {one}(steps, {count}) for this body, got the "
                 f"shape {shape}"
             )
-        return tension, jnp.zeros_like(tension), ()
+        return tension, ()
     if len(entries) != count:
         raise ValueError(
             f"trace: with targets, base_tension must hold one entry per tendon ({count}), got {len(entries)}; "
@@ -124,8 +118,7 @@ def _actuation(manipulator: Manipulator, base_tension: Driven) -> tuple[Array, A
     if any(value.shape != values[0].shape or value.ndim != 1 or value.size == 0 for value in values):
         shapes = ", ".join(str(value.shape) for value in values)
         raise ValueError(f"trace: each tendon must have one number for each step, got the shapes {shapes}")
-    given, is_driven = jnp.stack(values, axis=1), np.isin(np.arange(count), [goal.tendon for goal in driven])
-    return jnp.where(is_driven, 0.0, given), jnp.where(is_driven, given, 0.0), driven
+    return jnp.stack(values, axis=1), driven
 
 
 def check_moments(loads: Loads, num_steps: int) -> None:
@@ -134,15 +127,14 @@ def check_moments(loads: Loads, num_steps: int) -> None:
     Raises:
         ValueError: names the moment and the remedy.
     """
-    vectors = _vectors(loads)
-    moments = {"tip_moment": vectors[1]} | {f"points.{i}.moment": x for i, x in enumerate(vectors[4::2])}
-    stated = any(np.shape(x)[-1] == 3 or np.ndim(x) > 1 for x in (vectors[0], vectors[2], *vectors[3::2]))
-    for name, value in moments.items():
-        if not stated and num_steps == 3 == np.size(value) and np.ndim(value) == 1:
-            raise ValueError(
-                f"trace: loads.{name} holds three numbers for three steps; give a list of Loads, one for each step, or "
-                "for one moment (X, Y, Z) a tip_force of three components"
-            )
+    moments = {"tip_moment": loads.tip_moment} | {f"points.{i}.moment": p.moment for i, p in enumerate(loads.points)}
+    without = Loads(loads.tip_force, 0.0, loads.gravity, [PointLoad(p.arc_length, p.force) for p in loads.points])
+    doubtful = [name for name, moment in moments.items() if np.shape(moment) == (3,)]
+    if num_steps == 3 and loads.in_space and not without.in_space:
+        raise ValueError(
+            f"trace: loads.{doubtful[0]} holds three numbers for three steps; give a list of Loads, one for each step, "
+            "or for one moment (X, Y, Z) a tip_force of three components"
+        )
 
 
 def _resting(loads: Loads | Sequence[Loads] | None, along: Loads | None) -> Loads | None:

@@ -12,7 +12,6 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..mechanics.fields import AnyFields, SpatialFields
@@ -25,19 +24,23 @@ from ..statics.equilibrium import Dense, nan_unless
 from ..statics.solve import solve
 from ..statics.status import Status, first_of
 from .congruent_parts import (
+    Composed,
     Heading,
-    Tip,
+    Slid,
+    at_place,
+    composed,
     ends_of_motion,
     pose_of_base,
+    put,
     rotated,
     tilt_of,
-    tips,
     turned_back,
     turned_on,
+    unknown,
 )
-from .driven import Drive, driven, side_of
+from .driven import driven
 from .energies import work_and_loss
-from .fronts import Motion, cut_at, moving_front
+from .fronts import Motion, cut_at, motions, moving_front
 from .history import Energies, History, States
 from .turns import NO_STEP, Number, Turns, open_turns
 
@@ -113,20 +116,14 @@ def congruent_history(
     num_steps = wanted.shape[0]
     given = wanted, known, earlier
     body, _, _, (wanted, known, earlier) = one_precision(body, wanted[0], jnp.ones_like(wanted[0]), given)
-    path, all_turns, drive = _path(body, nodes, quantity, known, wanted, max_turns)
-    fronts, tip, moving = follow(body, nodes, path, all_turns)
+    path, all_turns, reached = _path(body, nodes, quantity, known, wanted, max_turns)
+    fronts, bodies = follow(body, nodes, path, all_turns)[:2]
 
-    turns, front, tip = jax.tree.map(lambda x: x[-num_steps:], (all_turns, moving, tip))
-    usable = jnp.isfinite(wanted)
-    added = tip.added
-    good = added.solved & usable
-    if drive is not None and quantity == "tip_angle":  # what the tensions miss is unreachable, and no tendon is slack
-        missed = jax.vmap(tilt_of)(added.heading) - wanted
-        far = jnp.abs(missed) > jnp.finfo(missed.dtype).eps ** 0.5
-        drive = drive._replace(slack=drive.slack & False, unreachable=drive.unreachable | drive.slack | far)
-    outside = path[-num_steps:] * jnp.sum(body.tendon_outside_compliance)
-    numbers = tip.tension, added.heading, added.position, added.pulled_in + outside, added.error
-    tension, heading, position, pulled_in, error = jax.vmap(nan_unless)(good, numbers)
+    turns, front, bodies, tension = jax.tree.map(lambda x: x[-num_steps:], (all_turns, fronts, bodies, path))
+    usable, added = jnp.isfinite(wanted), jax.vmap(lambda one: one.whole)(bodies)
+    good = added.solved & usable & ~turns.too_many
+    numbers = bodies.tip_tension, added.heading, added.position, added.pulled_in, added.error
+    tip_tension, heading, position, pulled_in, error = jax.vmap(nan_unless)(good, numbers)
     still_open = turns.open[-1]
     states = CongruentStates(
         manipulator=body,
@@ -135,13 +132,13 @@ def congruent_history(
         open_tension=nan_unless(good[-1], jnp.where(still_open == NO_STEP, path[-1], path[still_open])),
         path=path,
         turns=all_turns,
-        front=fronts,
-        stored_energy=added.stored + outside * path[-num_steps:] / 2,
+        front=jax.lax.stop_gradient(fronts),
+        stored_energy=added.stored,
         earlier=earlier,
     )
     return History(
-        base_tension=path[-num_steps:],
-        tip_tension=tension,
+        base_tension=tension,
+        tip_tension=tip_tension,
         tip_angle=jax.vmap(tilt_of)(heading),
         tip_position=position,
         tip_frame=heading if body.in_space else None,
@@ -150,7 +147,13 @@ def congruent_history(
         num_turns=jnp.sum(turns.open != NO_STEP, axis=1),
         tendon_displacement=pulled_in,
         error_estimate=error,
-        status=added.status if drive is None else _with_drive(added.status, drive, usable),
+        status=first_of(
+            (~usable, Status.unphysical),
+            (~reached & ((tension > 0) | (quantity == "tip_angle")), Status.unreachable),
+            (turns.too_many, Status.too_many_turns),
+            (added.status != Status.successful, added.status),
+            (~reached, Status.slack),
+        ),
         _states=states if known.size else _with_rest_before(states),
     )
 
@@ -173,51 +176,38 @@ def _with_rest_before(states: CongruentStates) -> CongruentStates:
 
 def _path(
     body: Manipulator, nodes: int, quantity: str, known: Array, wanted: Array, max_turns: int
-) -> tuple[Float[Array, " path"], Turns, Drive | None]:
-    """The known base tensions and those of the wanted values, N; the turns of the whole path; how they were found."""
+) -> tuple[Float[Array, " path"], Turns, Bool[Array, " steps"]]:
+    """The known base tensions and those of the wanted values, N; the turns of the whole path; what is reached."""
     if quantity == "base_tension":
         path = jnp.concatenate([known, wanted])
-        return path, open_turns(path, max_turns)[1], None
-    side = side_of(body, quantity)  # the angle grows with the tension on one side of the axis
+        return path, open_turns(path, max_turns)[1], jnp.ones_like(wanted, bool)
     stack, turns = open_turns(known, max_turns)
-    tensions, values = jnp.zeros_like(stack.value), jnp.zeros_like(stack.value)
-    headings = jax.vmap(lambda zero: pose_of_base(body, zero)[0])(values)
-    if known.size > 0:
-        added = follow(body, nodes, known, turns)[1].added
-        outside = known * jnp.sum(body.tendon_outside_compliance)
-        reached = side * jax.vmap(tilt_of)(added.heading) if quantity == "tip_angle" else added.pulled_in + outside
-        tensions, values, headings = known[stack.step], reached[stack.step], added.heading[stack.step]
-    drive, more = driven(body, nodes, quantity, side * wanted, stack, tensions, values, headings, known.size)
-    path = jnp.concatenate([known, drive.tension])
+    bodies = unknown(body, 0.0 * wanted[0], max_turns)
+    bodies = follow(body, nodes, known, turns)[2] if known.size > 0 else bodies
+    found = driven(body, nodes, quantity, wanted, stack, bodies, known.size)
+    path = jnp.concatenate([known, found.tension])
     if quantity == "tip_angle" and body.in_space:  # it need not turn where the tension turns
-        return path, open_turns(path, max_turns)[1], drive
-    return path, jax.tree.map(lambda a, b: jnp.concatenate([a, b]), turns, more), drive
-
-
-def _with_drive(status: Int[Array, " steps"], drive: Drive, usable: Bool[Array, " steps"]) -> Int[Array, " steps"]:
-    return first_of(
-        (~usable, Status.unphysical),
-        (drive.unreachable, Status.unreachable),
-        (status != Status.successful, status),
-        (drive.slack, Status.slack),
-    )
+        return path, open_turns(path, max_turns)[1], found.reached
+    return path, jax.tree.map(lambda a, b: jnp.concatenate([a, b]), turns, found.turns), found.reached
 
 
 def follow(
     body: Manipulator, nodes: int, path: Float[Array, " path"], turns: Turns
-) -> tuple[Float[Array, " path"], Tip, Float[Array, " path"]]:
-    """Front and tip after each step of a path that started at rest, and the fronts with their derivatives."""
-    from_rest = turns.before == NO_STEP
-    turned_at = jnp.where(from_rest, path, path[turns.before])
-    motions, each = Motion(path, turns.direction, turned_at, from_rest), partial(ends_of_motion, body, nodes)
-    if path.size <= BLOCK:
-        found = jax.vmap(each)(motions)
-    else:
-        places = np.minimum(np.arange(-(-path.size // BLOCK) * BLOCK), path.size - 1)  # of whole blocks
-        found = jax.lax.map(each, jax.tree.map(lambda x: x[places], motions), batch_size=BLOCK)
-    front, own, other = jax.tree.map(lambda x: x[: path.size], found)
-    moving = jax.vmap(partial(moving_front, body))(front, own.tension, other.tension, turns.direction)
-    return front, tips(body, own, other, turns), jnp.where(from_rest, front, moving)
+) -> tuple[Float[Array, " path"], Composed, Composed]:
+    """Front and body after each step of a path that started at rest; the bodies at the turns remembered at its end."""
+    all_motions, each = motions(path, turns), partial(ends_of_motion, body, nodes)
+    own, other = jax.lax.map(each, all_motions, batch_size=BLOCK)
+    moving = jax.vmap(partial(moving_front, body))(own.end, own.tension, other.tension, turns.direction)
+    front = jnp.where(all_motions.from_rest, own.end, moving)
+
+    def add(bodies: Composed, given: tuple[Motion, Slid, Slid, Int[Array, ""]]) -> tuple[Composed, Composed]:
+        motion, own, other, place = given
+        new = composed(body, at_place(bodies, place - 1), motion, own, other)
+        return put(bodies, place, new), new
+
+    nothing = unknown(body, zero_as((own, body.length)), turns.open.shape[1])
+    remembered, bodies = jax.lax.scan(add, nothing, (all_motions, own, other, turns.place))
+    return front, bodies, remembered
 
 
 # --- along the body ------------------------------------------------------------------------------

@@ -41,7 +41,6 @@ from .instants import (
     fields_of_instant,
     fronts_of,
     moved,
-    pushed,
     shape_of,
     stored_in,
     tip_of,
@@ -126,8 +125,8 @@ class _SoFar(NamedTuple):
 
 def _followed(
     manipulator: Manipulator, path: Path, kind: Following, start: Instant | None, halved: tuple[Number, Number]
-) -> tuple[Instant, TipPose, Float[Array, "steps tendons"], Bool[Array, " steps"]]:
-    """The instants after all steps, their tips, fronts, and whether fibres cross.
+) -> tuple[Instant, TipPose]:
+    """The instants after all steps, and their tips.
 
     Args:
         manipulator, path, kind: as in `stepped_history`.
@@ -136,13 +135,12 @@ def _followed(
     """
     zero = zero_as(manipulator, path, halved)  # under shard_map all numbers vary over the devices, or none
     grid = varying_as(cut_into_elements(manipulator, kind.num_elements, _last(path.loads), halved[0]), zero)
-    given = varying_as(jax.vmap(partial(_given, grid))(path.tension, path.goal, path.by_goal, path.loads), zero)
+    given = varying_as(jax.vmap(partial(_given, grid))(path.given, path.by_goal, path.loads), zero)
     advance = partial(_advanced, grid, kind.num_increments, halved[1] + zero)
     start = _before_first(grid, path, start, advance, zero)
     start = start._replace(given=_as_read(grid, kind.driven, start.body.nodes, start.given, 0.0))
     instants = jax.lax.scan(partial(advance, kind.driven), start, given)[1]
-    fronts = fronts_of(grid, instants.body.share, instants.slid)
-    return instants, jax.vmap(partial(tip_of, grid))(instants), fronts, jax.vmap(partial(crosses, grid))(instants)
+    return instants, jax.vmap(partial(tip_of, grid))(instants)
 
 
 def _before_first(grid: Grid, path: Path, start: Instant | None, advance: Callable, zero: Number) -> Instant:
@@ -154,8 +152,8 @@ def _before_first(grid: Grid, path: Path, start: Instant | None, advance: Callab
     start = varying_as(start, zero)
     if resting is None:
         return start
-    none = jnp.zeros_like(path.tension[0])
-    first = varying_as(_given(grid, none, none, none, resting), zero)
+    none = jnp.zeros_like(path.given[0])
+    first = varying_as(_given(grid, none, none, resting), zero)
     free = start._replace(body=start.body._replace(held=None))
     return without_friction(grid, advance((), free, first)[0])
 
@@ -210,7 +208,8 @@ def _num_increments(grid: Grid, most: int, before: Given, to: Given) -> Number:
     return jnp.where(largest_size(loads) > 0, most, few) if loads else few
 
 
-def _given(grid: Grid, tension: PerTendon, goal: PerTendon, by_goal: PerTendon, loads: Loads | None) -> Given:
+def _given(grid: Grid, given: PerTendon, by_goal: PerTendon, loads: Loads | None) -> Given:
+    tension, goal = (jnp.where(which, given, 0.0) for which in (by_goal == 0, by_goal > 0))
     if loads is None:
         return Given(tension, goal, by_goal, None, None, None)
     return Given(tension, goal, by_goal, *loads_on(grid, loads), jnp.asarray(loads.tip_moment))
@@ -235,31 +234,32 @@ def stepped_history(manipulator: Manipulator, path: Path, start: SteppedStates |
     last = None if start is None else jax.tree.map(lambda x: x[:count, -1], start.passes)
     halved = jnp.array([0.0, 1.0, 0.0])[:count], jnp.array([0.0, 0.0, 1.0])[:count]
     follow = partial(_followed, manipulator, path, kind)
-    passes, tips, fronts, crossing = jax.lax.map(lambda given: follow(*given), (last, halved))
+    passes, tips = jax.lax.map(lambda given: follow(*given), (last, halved))
     grid = cut_into_elements(manipulator, kind.num_elements, _last(path.loads))
     instants, tip = jax.tree.map(lambda x: x[0], (passes, tips))
     apart = jax.vmap(jax.vmap(partial(difference, grid)), (None, 0))(tip, jax.tree.map(lambda x: x[1:], tips))
     least = LEAST_ERROR if kind.estimated else jnp.nan
     least = least * jnp.maximum(1.0, instants.body.elastic / (tol.ELASTIC * grid.scale))
-    error = least + SAFETY * jnp.sum(apart, axis=0) + jax.vmap(partial(pushed, grid))(instants, tip)
+    error = least + SAFETY * jnp.sum(apart, axis=0)
     good = physical & jnp.all(passes.body.converged, axis=0)
     loads = _last(path.loads) or jax.tree.map(jnp.asarray, Loads().with_components(manipulator.components))
     states = SteppedStates(manipulator, passes, loads, kind.num_elements)
     pulled_in, pull = jax.vmap(grid.pulled_in)(instants.body.nodes), instants.given.base_tension
-    pull, pulled_in, tip, error, front = jax.vmap(nan_unless)(good, (pull, pulled_in, tip, error, fronts[0]))
+    geometry, share, slid = grid.geometry, instants.body.share, instants.slid
+    numbers = pull, pulled_in, tip, error, fronts_of(grid, share, slid)
+    pull, pulled_in, tip, error, front = jax.vmap(nan_unless)(good, numbers)
     driven = tendons_of(kind.driven)
     by_length = np.array([goal.quantity == "displacement" for goal in kind.driven], bool)
-    missed = jnp.where(path.by_goal > 0, pulled_in - path.goal, 0.0)[:, driven]
+    missed = jnp.where(path.by_goal > 0, pulled_in - path.given, 0.0)[:, driven]
     slack = jnp.any(by_length & (missed > LEAST_SLACK * grid.scale), axis=1)
     pushes = jnp.any(~by_length & (pull[:, driven] < 0.0), axis=1)
-    geometry, share = grid.geometry, instants.body.share
     return History(
-        base_tension=wanted.tension.at[:, driven].set(pull[:, driven]),
+        base_tension=wanted.given.at[:, driven].set(pull[:, driven]),
         tip_tension=tip.tension,
         tip_angle=jax.vmap(geometry.tip_angle)(tip.heading),
         tip_position=tip.position,
         tip_frame=jax.vmap(geometry.tip_frame)(tip.heading),
-        direction=base_direction(share, instants.slid),
+        direction=base_direction(share, slid),
         front=front,
         num_turns=None,
         tendon_displacement=pulled_in,
@@ -267,7 +267,7 @@ def stepped_history(manipulator: Manipulator, path: Path, start: SteppedStates |
         status=first_of(
             (~physical, Status.unphysical),
             (~good, Status.not_converged),
-            (crossing[0], Status.crossing),
+            (jax.vmap(partial(crosses, grid))(instants), Status.crossing),
             (pushes, Status.unreachable),
             (error > ACCURACY, Status.inaccurate),
             (slack, Status.slack),
@@ -280,11 +280,12 @@ def _checked(manipulator: Manipulator, path: Path) -> tuple[Manipulator, Path, B
     """Body and path with harmless numbers in place of unphysical ones; whether all steps so far are physical."""
     finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(manipulator)]))
     numbers = [x.reshape(x.shape[0], -1) for x in jax.tree.leaves(path._replace(resting=None))]
-    usable = jnp.all(jnp.isfinite(jnp.concatenate(numbers, axis=1)), axis=1) & jnp.all(path.tension >= 0, axis=1)
+    possible = (path.given >= 0) | (path.by_goal > 0)
+    usable = jnp.all(jnp.isfinite(jnp.concatenate(numbers, axis=1)), axis=1) & jnp.all(possible, axis=1)
     usable = jnp.cumprod(usable) > 0  # up to the first step that is not
-    asked, ones = manipulator, jnp.ones_like(path.tension[0])
+    asked, ones = manipulator, jnp.ones_like(path.given[0])
     manipulator, _, _, (path,) = harmless(manipulator, ones, ones, (path,))
-    path = path._replace(tension=jnp.maximum(path.tension, 0.0))
+    path = path._replace(given=jnp.where(possible, path.given, 0.0))
     laid_out = lay_out(manipulator, ones, ones, 4, jax.tree.map(lambda x: x[0], path.loads))
     return manipulator, path, usable & finite & is_physical(asked, ones, ones, laid_out)
 

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float, PyTree
 
 from ..errors import SolveError
 from ..numerics.given_numbers import check_numbers, check_whole
@@ -104,11 +104,12 @@ def trace(
     check_whole("trace: max_turns", max_turns, 1)
     check_whole("trace: short_steps", short_steps, 2)
     if start is not None:
-        _check_same_body(manipulator, start)
+        bodies = [eqx.tree_at(lambda b: b.point_masses, b, ()) for b in (manipulator, start._states.manipulator)]
+        _check_same(*bodies, "trace: start is the history of another body; trace this body from rest")
     try:
         path, driven = given_path(manipulator, base_tension, loads)
         if planar and isinstance(loads, Loads):
-            check_moments(loads, path.tension.shape[0])
+            check_moments(loads, path.given.shape[0])
         earlier = _earlier(manipulator, before, start)
         followed = start is not None and isinstance(start._states, SteppedStates)
         alone = manipulator.num_tendons == 1 and not manipulator.has_memory and loads is None
@@ -135,7 +136,7 @@ def _exactly(
     max_turns: int,
 ) -> History:
     quantity = driven[0].quantity if driven else "base_tension"
-    values = (path.goal if driven else path.tension)[:, 0]
+    values = path.given[:, 0]
     if manipulator.in_space and not isinstance(values, Tracer):
         check_range_in_space("trace", quantity, values)
     past, spent = jnp.zeros(0, values.dtype) if earlier is None else earlier.astype(values.dtype), None
@@ -152,13 +153,16 @@ def _exactly(
     return congruent_history(manipulator, values, past, spent, nodes, max_turns, quantity)
 
 
-def _check_same_body(manipulator: Manipulator, start: History) -> None:
-    """Refuse a history of another body, where the numbers are known."""
-    without = [eqx.tree_at(lambda b: b.point_masses, b, ()) for b in (manipulator, start._states.manipulator)]
-    (leaves, one), (others, other) = map(jax.tree.flatten, without)
-    known = not any(isinstance(x, Tracer) for x in [*leaves, *others])
-    if one != other or (known and not all(np.array_equal(a, b) for a, b in zip(leaves, others, strict=True))):
-        raise ValueError("trace: start is the history of another body; trace this body from rest")
+def _check_same(one: PyTree, other: PyTree, words: str) -> None:
+    """Refuse a history with other numbers, where they are known.
+
+    Raises:
+        ValueError: with these words.
+    """
+    (leaves, structure), (others, other_structure) = map(jax.tree.flatten, (one, other))
+    pairs = [pair for pair in zip(leaves, others, strict=False) if not any(isinstance(x, Tracer) for x in pair)]
+    if structure != other_structure or not all(np.array_equal(*pair) for pair in pairs):
+        raise ValueError(words)
 
 
 def _in_increments(
@@ -170,21 +174,20 @@ def _in_increments(
     kind: Following,
 ) -> History:
     """Follow a path; `goes_on`: whether the loads of `start` stay."""
-    if earlier is not None and kind.driven:
-        by_tension = kind._replace(driven=())  # static, so that this step is no step of the path
-        start = _in_increments(manipulator, path.before(earlier), False, None, None, by_tension)
-        return _in_increments(manipulator, path, False, None, start, kind)
     path = path if earlier is None else path.behind(earlier)
     states = None if start is None else start._states
     if goes_on and isinstance(states, SteppedStates):
         path = path.under(states.loads)
     check_loads(manipulator, path.loads)
-    if path.tension.dtype != jnp.float64:
+    if path.given.dtype != jnp.float64:
         raise ValueError(
             "trace: several tendons or loads need 64-bit numbers; jax.config.update('jax_enable_x64', True) first"
         )
     if isinstance(states, SteppedStates):
-        _check_same_points(path.loads, states.loads)
+        both = jax.tree.map(lambda x: x[-1], path.loads), states.loads
+        places = [[point.arc_length for point in each.points] for each in both]
+        words = "trace: start has point loads at other places; give those that do not act 0 N from rest on"
+        _check_same(*places, words)
         estimated = kind.estimated and states.passes.work.shape[0] > 1
         kind = kind._replace(num_elements=states.num_elements, estimated=estimated)
     elif states is not None:
@@ -193,16 +196,6 @@ def _in_increments(
     history = history if earlier is None else after_first(history)
     history = history if start is None else after_step(start.tip_angle[-1], start.status[-1], history)
     return squeezed(history) if manipulator.num_tendons == 1 else history
-
-
-def _check_same_points(loads: Loads | None, before: Loads) -> None:
-    """Refuse other places of point loads than those of the history before, where elements end."""
-    places = [[] if each is None else [point.arc_length for point in each.points] for each in (loads, before)]
-    if len(places[0]) != len(places[1]) or not all(
-        isinstance(one, Tracer) or isinstance(other, Tracer) or np.all(np.asarray(one) == np.asarray(other))
-        for one, other in zip(*places, strict=True)
-    ):
-        raise ValueError("trace: start has point loads at other places; give those that do not act 0 N from rest on")
 
 
 def _earlier(
