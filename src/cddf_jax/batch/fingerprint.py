@@ -12,7 +12,8 @@ SHOWN = 8  # numbers that are recorded themselves; more of them are recorded as 
 def numbers_of(tree: object) -> dict[str, object]:
     """The numbers of a pytree by their names, and the digest of its structure."""
     leaves, structure = jax.tree.flatten_with_path(tree)
-    found: dict[str, object] = {"structure": digest(re.sub(r" at 0x[0-9a-fA-F]+", "", str(structure)))}  # of functions
+    without_addresses = re.sub(r" at 0x[0-9a-fA-F]+", "", str(structure))  # in memory, which differ from run to run
+    found: dict[str, object] = {"structure": digest(without_addresses)}
     for path, leaf in leaves:
         name = jax.tree_util.keystr(path, simple=True, separator=".")
         found[name.removeprefix("manipulator.")] = recorded(leaf)
