@@ -268,6 +268,7 @@ WRONG = [
     ((*TENSIONS, "--together", "base_tension,x"), "--together 'base_tension,x': there is no --over x; give it its"),
     ((*TENSIONS, *FRICTIONS, *2 * PAIR), f"--together '{PAIR[1]}': base_tension varies together with others already"),
     ((*TENSIONS, "-t", "5 N"), "sweep: base_tension is given and an axis; leave one out"),
+    ((*TENSIONS, "--samples", "5"), "--samples 5: nothing is sampled"),
     ((*TENSIONS, "--over", "nodes=8,16"), "'nodes' is not a number of the body"),
     ((*TENSIONS, "--sample", "youngs_modulus=1MPa:2MPa"), "--sample needs the number of samples"),
     ((*TENSIONS, "--samples", "4", "--sample", "youngs_modulus=1MPa"), "--sample youngs_modulus: write least and "),

@@ -39,6 +39,8 @@ def read_sweep(
         raise InputError(f"nothing varies; give --over {OVER} or --sample")
     if ranges and not samples:
         raise InputError("--sample needs the number of samples; give for example --samples 1000")
+    if samples and not ranges:
+        raise InputError(f"--samples {samples}: nothing is sampled; give for example --sample {SAMPLE}")
     names = [*axes, *ranges]
     tensions = read_actuation(base_tension, manipulator) if base_tension else None
     draft = Sweep(
