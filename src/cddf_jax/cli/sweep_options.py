@@ -16,6 +16,7 @@ from .options import read_all
 
 OVER = '"base_tension=5N:85N:17" or "youngs_modulus=1.2 MPa, 1.4 MPa"'
 TOGETHER = "friction_coefficient,youngs_modulus"
+MOST = 100_000_000  # values along an axis
 SAMPLE = '"youngs_modulus=1.2MPa:1.6MPa"'
 
 
@@ -87,6 +88,8 @@ def _range(name: str, text: str, dimension: units.Dimension) -> np.ndarray:
     if len(ends) != 2 or not count.strip().isdecimal() or int(count) < 2:
         example = _example(name, dimension)
         raise InputError(f"{what}: write first, last and how many, 2 or more, as in {example}:11, got {text!r}")
+    if int(count) > MOST:
+        raise InputError(f"{what}: {count} values are more than the {MOST:,} that one axis may have; give fewer")
     start, stop = (units.quantity(end.strip(), dimension, what) for end in ends)
     return np.linspace(start, stop, int(count))
 
