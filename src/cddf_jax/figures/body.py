@@ -1,7 +1,5 @@
 """The bent body to scale, mm: tendons coloured by tension with loads as arrows, or the forces of the tendons."""
 
-from functools import partial
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -24,7 +22,7 @@ LONGEST = 1 / 7  # of the body's length
 def equilibrium_figure(manipulator: Manipulator, equilibrium: Equilibrium, loads: Loads | None = None) -> Figure:
     """Body, tendons and loads on the left, with the tension as colour; tension over arc length on the right.
 
-    In space the curvature over arc length stands there too, and three plane views below.
+    In space the curvature over arc length stands there too.
 
     Args:
         manipulator, equilibrium, loads: as in `draw_shape`.
@@ -35,10 +33,10 @@ def equilibrium_figure(manipulator: Manipulator, equilibrium: Equilibrium, loads
     what = bent_body(manipulator, equilibrium, loads)
     with draw.house_style():
         if what.in_space:
-            figure, above = space.figure_with_views(3.4, what.points, partial(space.draw_view, what))
-            grid = above.add_gridspec(2, 2, width_ratios=(1.4, 1))
-            draw_bent(what, above.add_subplot(grid[:, 0], projection="3d"))
-            tension, curvature = (above.add_subplot(grid[row, 1]) for row in (0, 1))
+            figure = draw.new_figure(draw.DOUBLE_COLUMN, 3.4)
+            grid = figure.add_gridspec(2, 2, width_ratios=(1.4, 1))
+            draw_bent(what, figure.add_subplot(grid[:, 0], projection="3d"))
+            tension, curvature = (figure.add_subplot(grid[row, 1]) for row in (0, 1))
             draw_along(manipulator, equilibrium, "curvature", curvature)
         else:
             figure = draw.new_figure(draw.DOUBLE_COLUMN, HEIGHT)

@@ -86,6 +86,8 @@ def run_sweep(work: Sweep, store: Path, options: Mapping[str, object]) -> "tuple
 
 def sweep_report(work: Sweep, answer: "xarray.Dataset", summary: Json, name: str, csv: Path | None) -> Report:
     """The summary of `run_sweep`, the figures or why there is none, and the answer as a table if it has a name."""
+    from ..figures.style import figure_of
+
     drawn, no_figure = [output for output in work.outputs if is_short(answer[output])], ""
     made: dict[str, Content] = {}
     try:
@@ -95,7 +97,7 @@ def sweep_report(work: Sweep, answer: "xarray.Dataset", summary: Json, name: str
     tips = answer.data_vars.get("tip_position")
     if tips is not None and tips.sizes["component"] == 3:
         with suppress(InputError):  # no number varies, or no solve gave a tip
-            made[f"{name}_workspace"] = figures.workspace_figure(answer)
+            made[f"{name}_workspace"] = figure_of(figures.draw_workspace(answer))
 
     @stage("writing")
     def files() -> Mapping[str, Content]:
