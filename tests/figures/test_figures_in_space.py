@@ -8,7 +8,7 @@ import pytest
 from kinds import of_kind
 from matplotlib.colors import Normalize
 from mpl_toolkits.mplot3d import Axes3D
-from mpl_toolkits.mplot3d.art3d import Line3DCollection
+from mpl_toolkits.mplot3d.art3d import Line3D, Line3DCollection
 from read_back import legend_of, y_of
 
 import cddf_jax as cddf
@@ -106,7 +106,7 @@ def test_tendons_are_where_they_are_and_end_at_their_anchors(equilibrium, what):
     assert np.asarray(near.get_array())[0] == pytest.approx(20.0, rel=0.01)
     radius = np.linalg.norm(pieces[:, 0] - [0.0, 0.0, 1e3 / BEND], axis=-1)
     np.testing.assert_allclose(radius, 1e3 * (1 / BEND - OFFSET), rtol=1e-9)
-    dashed = [np.stack(line._verts3d, axis=-1) for line in scene.lines if is_dashed(line)]
+    dashed = [np.stack(of_kind(Line3D, line).get_data_3d(), axis=-1) for line in scene.lines if is_dashed(line)]
     (hidden,) = [line[np.isfinite(line[:, 0])] for line in dashed if np.isfinite(line).any()]
     length = np.linalg.norm(np.diff(hidden, axis=0), axis=-1).sum()
     assert length == pytest.approx(1e3 * 0.15 * (1 + BEND * OFFSET), rel=1e-4)

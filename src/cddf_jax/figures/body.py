@@ -53,8 +53,8 @@ def draw_shape(
     """The bent body to scale, mm: wall, bore, clamp, and tendons coloured by their tension, N.
 
     The rest shape is dotted. Tendons end in a dot where they are anchored; several tendons are numbered. Arrows of
-    loads at the tip all have the same length: the legend gives their magnitudes, and magnitude and direction of
-    gravity. The colour scale is beside the axes.
+    loads at the tip all have the same length: the legend gives their magnitudes, and the components of gravity. The
+    colour scale is beside the axes.
 
     A body in space is drawn in three dimensions, with shadows on the walls. Tendons are dashed where the body hides
     them.

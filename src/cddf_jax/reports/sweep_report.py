@@ -128,7 +128,7 @@ def summary_in_words(summary: Json) -> str:
 
 def rehearse(work: Sweep) -> Report:
     """The number of solves, memory and disk of a sweep, without solving or writing anything."""
-    layout, outputs = work.layout, [name for name in work.layout.empty.data_vars if name not in VERDICTS]
+    layout, outputs = work.layout, [str(name) for name in work.layout.empty.data_vars if name not in VERDICTS]
     axes = {dimension.name: dimension.size for dimension in work.dimensions}
     disk, memory = layout.size * layout.bytes_each, COPIES * layout.bytes_each * layout.chunk_size
     expected = {"solves": layout.size, "axes": axes, "outputs": outputs, "bytes": disk}
