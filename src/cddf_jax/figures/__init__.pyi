@@ -34,6 +34,6 @@ from .style import (
     render as render,
 )
 from .sweeps import draw_lines as draw_lines, draw_map as draw_map, sweep_figure as sweep_figure
-from .workspace import draw_workspace as draw_workspace, workspace_figure as workspace_figure
+from .workspace import draw_workspace as draw_workspace
 
 __all__: list[str]

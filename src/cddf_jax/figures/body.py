@@ -1,7 +1,5 @@
 """The bent body to scale, mm: tendons coloured by tension with loads as arrows, or the forces of the tendons."""
 
-from functools import partial
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -24,7 +22,7 @@ LONGEST = 1 / 7  # of the body's length
 def equilibrium_figure(manipulator: Manipulator, equilibrium: Equilibrium, loads: Loads | None = None) -> Figure:
     """Body, tendons and loads on the left, with the tension as colour; tension over arc length on the right.
 
-    In space the curvature over arc length stands there too, and three plane views below.
+    In space the curvature over arc length stands there too.
 
     Args:
         manipulator, equilibrium, loads: as in `draw_shape`.
@@ -35,10 +33,10 @@ def equilibrium_figure(manipulator: Manipulator, equilibrium: Equilibrium, loads
     what = bent_body(manipulator, equilibrium, loads)
     with draw.house_style():
         if what.in_space:
-            figure, above = space.figure_with_views(3.4, what.points, partial(space.draw_view, what))
-            grid = above.add_gridspec(2, 2, width_ratios=(1.4, 1))
-            draw_bent(what, above.add_subplot(grid[:, 0], projection="3d"))
-            tension, curvature = (above.add_subplot(grid[row, 1]) for row in (0, 1))
+            figure = draw.new_figure(draw.DOUBLE_COLUMN, 3.4)
+            grid = figure.add_gridspec(2, 2, width_ratios=(1.4, 1))
+            draw_bent(what, figure.add_subplot(grid[:, 0], projection="3d"))
+            tension, curvature = (figure.add_subplot(grid[row, 1]) for row in (0, 1))
             draw_along(manipulator, equilibrium, "curvature", curvature)
         else:
             figure = draw.new_figure(draw.DOUBLE_COLUMN, HEIGHT)
@@ -55,8 +53,8 @@ def draw_shape(
     """The bent body to scale, mm: wall, bore, clamp, and tendons coloured by their tension, N.
 
     The rest shape is dotted. Tendons end in a dot where they are anchored; several tendons are numbered. Arrows of
-    loads at the tip all have the same length: the legend gives their magnitudes, and magnitude and direction of
-    gravity. The colour scale is beside the axes.
+    loads at the tip all have the same length: the legend gives their magnitudes, and the components of gravity. The
+    colour scale is beside the axes.
 
     A body in space is drawn in three dimensions, with shadows on the walls. Tendons are dashed where the body hides
     them.

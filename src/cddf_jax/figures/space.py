@@ -1,13 +1,11 @@
-"""The bent body in space, mm: a scene in three dimensions with shadows on the walls, and three plane views."""
+"""The bent body in space, mm: a scene in three dimensions with shadows on the walls."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import cast
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import PolyCollection
 from matplotlib.colors import LightSource
-from matplotlib.figure import Figure, SubFigure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
@@ -17,15 +15,10 @@ from mpl_toolkits.mplot3d.axis3d import Axis
 from . import looks, style as draw
 from .geometry import AZIMUTH, ELEVATION, Body, Drawn
 
-# by the name of a plane: the coordinates to the right and up, and the one that points to the reader
-VIEWS = {"XY": (0, 1, 2), "XZ": (0, 2, 1), "YZ": (1, 2, 0)}
-TOWARDS = {"XY": (0.0, 0.0, 1.0), "XZ": (0.0, -1.0, 0.0), "YZ": (1.0, 0.0, 0.0)}
+PLANES = ((0, 1, 2), (0, 2, 1), (1, 2, 0))  # of the walls: their two coordinates, and the one across
 HEIGHT = 2.8  # inches, of a scene as wide as a column
 LEAST = 0.6  # of the longest edge of a scene: its other edges, so that numbers and names have room at all of them
 LIGHT = LightSource(azdeg=151, altdeg=59)  # falls on a body
-
-
-# --- in three dimensions -------------------------------------------------------------------------
 
 
 def sight() -> np.ndarray:
@@ -93,7 +86,7 @@ def shadows(axes: Axes3D, body: Body) -> list[np.ndarray]:
     """The polygons (corners, 3) of a body's shadows on the three walls behind it."""
     return [
         np.insert(flat, across, walls_behind(axes)[across], axis=1)
-        for right, up, across in VIEWS.values()
+        for right, up, across in PLANES
         for flat in silhouette(body, (right, up))
     ]
 
@@ -107,42 +100,3 @@ def _draw_tube(axes: Axes3D, body: Body) -> None:
     for ring in (rings[0], rings[-1]):
         axes.plot(*ring.T, color=looks.GREY, linewidth=0.6, zorder=4.5)
     axes.add_collection3d(Poly3DCollection([rings[-1]], facecolor="white", zorder=4.5))
-
-
-# --- in a plane ----------------------------------------------------------------------------------
-
-
-def draw_view(what: Drawn, axes: Axes, plane: str) -> None:
-    """Body, tendons and loads as seen along the third axis, to scale."""
-    right, up, _ = VIEWS[plane]
-    flat, polygons = [right, up], silhouette(what.body, VIEWS[plane][:2])
-    for color, width in ((looks.GREY, 1.2), (looks.PALE, 0.3)):  # the rim, and over it the body
-        axes.add_collection(PolyCollection(polygons, facecolor=color, edgecolor=color, linewidth=width, zorder=1.5))
-    axes.plot(*what.straight.midline[:, flat].T, color=looks.GREY, linewidth=0.6, linestyle=(0, (1, 2)), zorder=1)
-    axes.plot(*what.plate_edge[:, flat].T, color=looks.BLACK, linewidth=1.0 if right == 0 else 0.6, zorder=1)
-    draw.draw_tendons(axes, what, flat, np.array(TOWARDS[plane]))
-    draw.draw_loads(axes, what, flat)
-    axes.set(xlabel=f"${plane[0]}$ (mm)", ylabel=f"${plane[1]}$ (mm)")
-
-
-def figure_with_views(
-    height: float, points: np.ndarray, draw_into: Callable[[Axes, str], None]
-) -> tuple[Figure, SubFigure]:
-    """A figure of two columns of a page with three plane views of points, mm, to one scale at its foot.
-
-    `draw_into` draws into the axes of a plane. The second figure is the room above the views, of a height in inches.
-    """
-    figure = draw.new_figure(draw.DOUBLE_COLUMN, height + 1.9)
-    above, below = cast(Sequence[SubFigure], figure.subfigures(2, 1, height_ratios=(height, 1.9)))
-    low, high = points.min(axis=0), points.max(axis=0)
-    margin = 0.05 * np.max(high - low)
-    low, high = low - margin, high + margin
-    middle, half = 0.5 * (low + high), 0.5 * np.max((high - low)[1:])  # all views are as high as the highest
-    views = below.subplots(1, 3, width_ratios=[high[right] - low[right] for right, _, _ in VIEWS.values()])
-    for axes, (plane, (right, up, _)) in zip(views, VIEWS.items(), strict=True):
-        draw_into(axes, plane)
-        axes.set(xlim=(low[right], high[right]), ylim=(middle[up] - half, middle[up] + half), aspect="equal")
-        for axis, place in ((axes.xaxis, right), (axes.yaxis, up)):
-            count = max(1, round(4 * (high - low)[place] / np.max(high - low)))
-            axis.set_major_locator(MaxNLocator(count, steps=[1, 2, 5, 10], min_n_ticks=1))
-    return figure, above

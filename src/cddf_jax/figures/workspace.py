@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from ..errors import InputError
@@ -58,24 +57,6 @@ def draw_workspace(dataset: "xarray.Dataset", by: str | None = None, axes: Axes 
     return axes
 
 
-def workspace_figure(dataset: "xarray.Dataset", by: str | None = None) -> Figure:
-    """Where the tip goes in a sweep: in space as a cloud in three dimensions, with three plane views to one scale.
-
-    Args:
-        dataset, by: as in `draw_workspace`.
-
-    Raises:
-        InputError: as `draw_workspace`.
-    """
-    cloud = _cloud(dataset, by)
-    if not cloud.in_space:
-        return draw.figure_of(draw_workspace(dataset, by))
-    with draw.house_style():
-        figure, above = space.figure_with_views(3.0, cloud.tips, lambda axes, plane: _draw_view(axes, cloud, plane))
-        _draw_cloud(above.add_subplot(projection="3d"), cloud)
-    return figure
-
-
 def _cloud(dataset: "xarray.Dataset", by: str | None) -> Cloud:
     """Tips and values, in the units of their labels."""
     if "tip_position" not in dataset.data_vars or RESULT not in dataset:
@@ -119,7 +100,8 @@ def _with_colour(dataset: "xarray.Dataset", by: str | None) -> "tuple[xarray.Dat
 def _draw_cloud(axes: Axes, cloud: Cloud) -> None:
     """The whole cloud with its scale of colours and its legend: in the plane, or in space with shadows on the walls."""
     if not cloud.in_space:
-        _draw_view(axes, cloud, "XY")
+        _draw_dots(axes, cloud, np.array([0.0, 0.0, 1.0]), [0, 1])
+        axes.set(xlabel="$X$ (mm)", ylabel="$Y$ (mm)")
         draw.to_scale(axes)
     else:
         scene = space.set_scene(axes, cloud.tips)
@@ -133,12 +115,6 @@ def _draw_cloud(axes: Axes, cloud: Cloud) -> None:
     entries = [Line2D([], [], label=f"hollow: doubtful, {doubtful}", **look)] if doubtful else []
     if entries := [*entries, *([lost] if cloud.lost else [])]:
         axes.legend(handles=entries, loc="upper left")
-
-
-def _draw_view(axes: Axes, cloud: Cloud, plane: str) -> None:
-    """The dots in a plane."""
-    _draw_dots(axes, cloud, np.array(space.TOWARDS[plane]), list(space.VIEWS[plane][:2]))
-    axes.set(xlabel=f"${plane[0]}$ (mm)", ylabel=f"${plane[1]}$ (mm)")
 
 
 def _draw_dots(axes: Axes, cloud: Cloud, sight: np.ndarray, shown: list[int]) -> None:

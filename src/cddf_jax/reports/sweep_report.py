@@ -84,6 +84,8 @@ def run_sweep(work: Sweep, store: Path, options: Mapping[str, object]) -> "tuple
 
 def sweep_report(work: Sweep, answer: "xarray.Dataset", summary: Json, name: str, csv: Path | None) -> Report:
     """The summary of `run_sweep`, the figures or why there is none, and the answer as a table if it has a name."""
+    from ..figures.style import figure_of
+
     drawn, no_figure = [output for output in work.outputs if is_short(answer[output])], ""
     made: dict[str, Content] = {}
     try:
@@ -93,7 +95,7 @@ def sweep_report(work: Sweep, answer: "xarray.Dataset", summary: Json, name: str
     tips = answer.data_vars.get("tip_position")
     if tips is not None and tips.sizes["component"] == 3:
         with suppress(InputError):  # no number varies, or no solve gave a tip
-            made[f"{name}_workspace"] = figures.workspace_figure(answer)
+            made[f"{name}_workspace"] = figure_of(figures.draw_workspace(answer))
 
     @stage("writing")
     def files() -> Mapping[str, Content]:
@@ -122,7 +124,7 @@ def summary_in_words(summary: Json) -> str:
 
 def rehearse(work: Sweep) -> Report:
     """The number of solves, memory and disk of a sweep, without solving or writing anything."""
-    layout, outputs = work.layout, [name for name in work.layout.empty.data_vars if name not in VERDICTS]
+    layout, outputs = work.layout, [str(name) for name in work.layout.empty.data_vars if name not in VERDICTS]
     axes = {dimension.name: dimension.size for dimension in work.dimensions}
     disk, memory = layout.size * layout.bytes_each, COPIES * layout.bytes_each * layout.chunk_size
     expected = {"solves": layout.size, "axes": axes, "outputs": outputs, "bytes": disk}
