@@ -197,6 +197,8 @@ def test_which_rows_lie_beyond_the_data():
     assert beyond_the_data(rows(base_tension=[10.0]), [rows(base_tension=[5.0, 20.0])]).tolist() == [False]
     pair = rows(base_tension=[10.0, 10.0], base_tension_2=[0.0, 1.0])
     assert beyond_the_data(pair, [rows(base_tension=[5.0, 20.0])]).tolist() == [False, True]
+    driven = Measurements.from_columns("driven", displacement=[1e-3], displacement_2=[1e-3], tip_angle=[0.0])
+    assert beyond_the_data(pair, [driven]).tolist() == [True, True]  # no tension is known, and none was 0
 
 
 def test_which_rows_lie_on_one_curve(paper):

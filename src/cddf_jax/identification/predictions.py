@@ -14,7 +14,7 @@ from ..errors import InputError
 from ..estimation.least_squares import LeastSquaresFit
 from ..measurements.forces import forces_of
 from ..measurements.markers import marker_column
-from ..measurements.readings import SET, kind_of_set, of_tendons
+from ..measurements.readings import SET, kind_of_set, of_tendons, tendon_number
 from ..measurements.table import Measurements
 from ..numerics.arrays import evaluated
 from ..numerics.given_numbers import check_numbers
@@ -55,21 +55,24 @@ def rows_to_predict(conditions: Numbers | Conditions, num_tendons: int, column: 
 def beyond_the_data(wanted: Measurements, tables: Sequence[Measurements]) -> np.ndarray:
     """Which rows lie outside the range of the data, in any base tension, displacement or component of a force.
 
-    What a table does not name was 0 in it.
+    A force or a tendon that a table does not name was 0 in it. Of a tendon that is named by its displacement alone the
+    tension is not known, and the other way round.
     """
 
     def conditions(table: Measurements) -> dict[str | tuple[float, int], np.ndarray]:
         places, forces = forces_of(table.columns, len(table))
         found = zip((0.0, *places.values()), np.moveaxis(forces, 0, 2), strict=True)  # the tip comes first
         of_forces = {(place, axis): values for place, own in found for axis, values in enumerate(own)}
-        return of_forces | {name: own for name, own in table.columns.items() if kind_of_set(name) in SET}
+        named = {tendon_number(name) for name in table.columns if kind_of_set(name) in SET}
+        pulls = [name for kind in SET for name in of_tendons(kind, max(named)) if tendon_number(name) in named]
+        return of_forces | {name: table.columns.get(name, np.full(len(table), np.nan)) for name in pulls}
 
     beyond, measured = np.zeros(len(wanted), bool), [conditions(one) for one in tables if "pulling_tension" not in one]
     for what, values in conditions(wanted).items() if measured else ():
         known = np.concatenate([own.get(what, np.zeros(1)) for own in measured])
-        low, high = np.nanmin(known), np.nanmax(known)
-        slack = SPANNED * max(abs(low), abs(high))
-        beyond |= (values < low - slack) | (values > high + slack)
+        low, high = np.fmin.reduce(known), np.fmax.reduce(known)  # NaN where nothing was measured
+        slack = SPANNED * np.maximum(np.abs(low), np.abs(high))
+        beyond |= np.isfinite(values) & ~((values >= low - slack) & (values <= high + slack))
     return beyond | (not measured)
 
 
