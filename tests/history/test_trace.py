@@ -333,8 +333,8 @@ def test_derivatives_by_the_length():
     """Against central differences; of a pull, of a release whose front is inside, and of one that reaches the tip."""
 
     def found(length):
-        options = {"bending_stiffness": 0.05, "friction_coefficient": 0.4}
-        body = cddf.Manipulator(length=length, tendons=[cddf.Tendon(0.01)], **options)
+        tendons = [cddf.Tendon(0.01)]
+        body = cddf.Manipulator(length=length, tendons=tendons, bending_stiffness=0.05, friction_coefficient=0.4)
         history = cddf.trace(body, [30.0, 20.0, 5.0], throw=False)
         return jnp.concatenate([history.tip_angle, history.tip_tension, history.front, history.energies.work])
 

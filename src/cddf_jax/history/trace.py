@@ -104,8 +104,8 @@ def trace(
     check_whole("trace: max_turns", max_turns, 1)
     check_whole("trace: short_steps", short_steps, 2)
     if start is not None:
-        bodies = [eqx.tree_at(lambda b: b.point_masses, b, ()) for b in (manipulator, start._states.manipulator)]
-        _check_same(*bodies, "trace: start is the history of another body; trace this body from rest")
+        here, there = (eqx.tree_at(lambda b: b.point_masses, b, ()) for b in (manipulator, start._states.manipulator))
+        _check_same(here, there, "trace: start is the history of another body; trace this body from rest")
     try:
         path, driven = given_path(manipulator, base_tension, loads)
         if planar and isinstance(loads, Loads):
@@ -185,9 +185,9 @@ def _in_increments(
         )
     if isinstance(states, SteppedStates):
         both = jax.tree.map(lambda x: x[-1], path.loads), states.loads
-        places = [[point.arc_length for point in each.points] for each in both]
+        here, there = ([point.arc_length for point in each.points] for each in both)
         words = "trace: start has point loads at other places; give those that do not act 0 N from rest on"
-        _check_same(*places, words)
+        _check_same(here, there, words)
         estimated = kind.estimated and states.passes.work.shape[0] > 1
         kind = kind._replace(num_elements=states.num_elements, estimated=estimated)
     elif states is not None:
