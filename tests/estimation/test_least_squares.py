@@ -345,8 +345,8 @@ def test_a_model_without_a_number_is_reported_as_a_failure():
     assert not fit.success
     assert "no number" in fit.result
     assert fit.restarted == (
-        "the search failed (the model gave no number at the estimate); 32 searches from other starts found nothing "
-        "better"
+        "the search from the given start failed (the model gave no number at the estimate); nothing better was found "
+        "from 32 other start(s)"
     )
     assert fit.status["a"] == "not identified"
     assert fit.standard_error["a"] == np.inf

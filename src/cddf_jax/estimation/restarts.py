@@ -30,7 +30,7 @@ def search(task: FitTask, starts: int | None, seed: int) -> Ending:
     watch = Watch()
     before = WATCHED.set(watch)
     try:
-        return _search(task, seed, watch) if starts is None else _from_starts(task, starts, seed)
+        return _from_starts(task, starts, seed) if starts else _until_without_trouble(task, seed, watch)
     except KeyboardInterrupt:
         best = watch.best(task.problem.data.noise)
         if best is None:
@@ -41,29 +41,26 @@ def search(task: FitTask, starts: int | None, seed: int) -> Ending:
 
 
 def _from_starts(task: FitTask, starts: int, seed: int) -> Ending:
-    """As many searches as were asked for."""
+    """The best of as many searches as were asked for."""
     problem = task.problem
-    if starts > 1:
-        found = [minimise(problem, problem.space.first()), *_elsewhere(problem, slice(0, starts - 1), seed)]
-        return search_from(task, min(found, key=_height).z)._replace(starts=np.sort([*map(_height, found)]))
-    only = search_from(task, problem.space.first())
-    known = only.determination.combinations or set(only.determination.status.values()) != {NOT_IDENTIFIED}
-    if not known and np.any(problem.space.times_the_start(only.minimum.outcome.parameters) > FAR):
-        only = only._replace(result=STOPPED_SHORT)  # it went far away: the cost falls without a minimum
-    return only._replace(starts=np.array([_cost(task, only)]))
+    found = [minimise(problem, problem.space.first()), *_elsewhere(problem, slice(0, starts - 1), seed)]
+    ending = search_from(task, min(found, key=_height).z)
+    known = ending.determination.combinations or set(ending.determination.status.values()) != {NOT_IDENTIFIED}
+    if not known and np.any(problem.space.times_the_start(ending.minimum.outcome.parameters) > FAR):
+        ending = ending._replace(result=STOPPED_SHORT)  # it went far away: the cost falls without a minimum
+    return ending._replace(starts=np.sort([*map(_height, found)]))
 
 
-def _search(task: FitTask, seed: int, watch: Watch) -> Ending:
+def _until_without_trouble(task: FitTask, seed: int, watch: Watch) -> Ending:
     """One search, and others while the best one is in trouble."""
-    problem = task.problem
-    ending = first = search_from(task, problem.space.first())
+    ending = first = search_from(task, task.problem.space.first())
     reason = trouble(task, first)
     if not reason:
         return first
     costs, late = [_cost(task, first)], time.monotonic() + LONGEST
     for last, count in zip(np.cumsum(ROUNDS), ROUNDS, strict=True):
         watch.deadline = late
-        found = _elsewhere(problem, slice(last - count, last), seed, late)
+        found = _elsewhere(task.problem, slice(last - count, last), seed, late)
         watch.deadline = np.inf
         costs += map(_height, found)
         ending = _better(task, ending, found)
@@ -75,13 +72,11 @@ def _search(task: FitTask, seed: int, watch: Watch) -> Ending:
             break
         if not trouble(task, ending):
             break
-    costs = np.sort(costs)
+    same = np.sum(np.array(costs) <= (1 + LOWER) * min(costs) + EXACT)
+    led = f"{same} of {len(costs)} starts led to the result, the best found"
     if ending is first:
-        others = f"{len(costs) - 1} search{'es' * (len(costs) > 2)} from other starts"
-        return first._replace(starts=costs, restarted=f"the search {reason}; {others} found nothing better")
-    same = f"{np.sum(costs <= (1 + LOWER) * costs[0] + EXACT)} of {len(costs)} starts"
-    found_by = f"the search from the given start {reason}; {same} led to the result, the best found"
-    return ending._replace(starts=costs, restarted=found_by)
+        led = f"nothing better was found from {len(costs) - 1} other start(s)"
+    return ending._replace(starts=np.sort(costs), restarted=f"the search from the given start {reason}; {led}")
 
 
 def _better(task: FitTask, ending: Ending, found: list[Outcome]) -> Ending:

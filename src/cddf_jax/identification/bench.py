@@ -391,7 +391,7 @@ class Group(NamedTuple):
     @property
     def observed(self) -> np.ndarray:
         """The readings, SI."""
-        return self.table.read(self.column)
+        return self.table[self.column][self.there]
 
 
 def groups_of(tables: Sequence[Measurements], model: BenchModel) -> list[Group]:

@@ -177,10 +177,6 @@ class Measurements:
         """
         return has_reading(self.columns, column)
 
-    def read(self, column: str) -> np.ndarray:
-        """The numbers of a column, without the rows in which it is missing."""
-        return self.columns[column][self.has(column)]
-
     @property
     def ordered(self) -> bool:
         """Whether columns give the order in which the rows were measured."""

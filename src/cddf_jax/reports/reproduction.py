@@ -79,7 +79,8 @@ def reproduce(manipulator: Manipulator, load_cells: Measurements) -> Report:
 @stage("solving")
 def computed(manipulator: Manipulator, load_cells: Measurements) -> PaperResults:
     """All solves, for a manipulator and trials as in `reproduce`."""
-    base, observed = load_cells["base_tension"][load_cells.has("tip_tension")], load_cells.read("tip_tension")
+    read = load_cells.has("tip_tension")
+    base, observed = load_cells["base_tension"][read], load_cells["tip_tension"][read]
     pulls, pull = np.concatenate([PULLS, base]), partial(solve, throw=False)
     equilibria = evaluated(jax.vmap(pull, (None, 0)), manipulator, pulls)
     good = equilibria.status == Status.successful
