@@ -83,7 +83,9 @@ def test_averaged_holds(answer_of, tmp_path):
     (tmp_path / "drum.csv").write_text("weight [N],wrap_angle [deg],pulling_tension [N]\n" + "\n".join(rows))
     options = ("--free", "friction_coefficient", "--average-holds", "--noise", "pulling_tension=0.1 N")
     answer = answer_of("fit", PAPER, tmp_path / "drum.csv", *options)
-    assert [(table["rows"], table["holds_averaged"]) for table in answer["data"]] == [(2, True)]
+    assert [(table["rows"], table["read_as"][-1]) for table in answer["data"]] == [
+        (2, "drum.csv: each hold averaged to one reading: 10 rows became 2")
+    ]
     assert answer["value"]["friction_coefficient"] == pytest.approx(0.42, rel=1e-6)
 
 

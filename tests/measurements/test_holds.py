@@ -96,7 +96,7 @@ def test_one_reading_a_hold():
     np.testing.assert_array_equal(found["direction"], [1, 1, 1, -1])
     np.testing.assert_array_equal(found["trial"], [0, 0, 1, 1])
     np.testing.assert_array_equal(found.rows, [1, 3, 4, 6])  # where each begins
-    assert found.notes[-1] == "each hold averaged to one reading: 6 rows became 4"
+    assert found.read_as == ("bench: each hold averaged to one reading: 6 rows became 4",)
     assert average_holds(found) is found
 
 

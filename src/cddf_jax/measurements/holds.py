@@ -130,8 +130,8 @@ def average_holds(table: Measurements) -> Measurements:
     if np.all(size == 1):
         return table
     means = {name: values[first] if name == "trial" else _mean(values, labels) for name, values in columns.items()}
-    note = f"each hold averaged to one reading: {len(table)} rows became {first.size}"
-    return replace(table, columns=means, rows=rows[first], notes=(*table.notes, note), holds_averaged=True)
+    said = f"{table.name}: each hold averaged to one reading: {len(table)} rows became {first.size}"
+    return replace(table, columns=means, rows=rows[first], read_as=(*table.read_as, said))
 
 
 def _mean(values: np.ndarray, labels: np.ndarray) -> np.ndarray:

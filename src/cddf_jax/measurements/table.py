@@ -94,8 +94,8 @@ class Measurements:
         trial_labels: as written, in the order of their first appearance.
         notes: the text above the header.
         simulated: whether name or notes say so.
-        holds_averaged: whether the rows are means of `average_holds`.
-        read_as: how the file was understood, in lines that begin with its name; empty for a plain one.
+        read_as: how the file was understood, and whether its holds were averaged, in lines that begin with its name;
+            empty for a plain one.
         files: if the trials are files, their names, in the order of `trial_labels`, numbered where two are the same.
         unread: columns that held no reading in any row and are left out.
         left_out: how many rows held no reading and are left out; with `step` or `time` they stay, as steps of a path.
@@ -108,7 +108,6 @@ class Measurements:
     trial_labels: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     simulated: bool = False
-    holds_averaged: bool = False
     read_as: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
     unread: tuple[str, ...] = ()

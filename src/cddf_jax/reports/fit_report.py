@@ -69,7 +69,7 @@ def fit_as_dict(fit: Fit, profiles: Mapping[str, Profile]) -> dict[str, Any]:
 def _table_as_dict(table: Measurements) -> dict[str, object]:
     named = {"files": table.files or (table.name,), "rows": len(table), "sha256": table.checksum}
     named |= {"markers": {name: marker._asdict() for name, marker in table.markers.items()}} if table.markers else {}
-    return picked(table, ("name", "simulated", "read_as")) | named | {"holds_averaged": table.holds_averaged}
+    return picked(table, ("name", "simulated", "read_as")) | named
 
 
 def _determination_as_dict(found: Determination) -> dict[str, object]:
@@ -275,4 +275,4 @@ def _stated(fit: Fit) -> list[str]:
         past = [words for course in courses.values() for words in course.past_in_words]
         past = past if len(set(past)) > 1 else past[:1]  # "rest", or where trials differ "rest, 80 N"
         lines.append(f"With history: {', '.join(courses)}. Before the first row: {', '.join(past)}.")
-    return lines + (["Holds were averaged."] if any(table.holds_averaged for table in fit.tables) else [])
+    return lines
