@@ -2,17 +2,18 @@
 
 import os
 from collections.abc import Mapping
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from ..errors import InputError, within
-from ..files.csv_table import Table, read_table
+from ..files.csv_table import read_table
 from ..quantities import dimension_of
-from ..units import Dimension, written
+from ..units import Dimension
 from .columns import how_to_say
 from .order import check_order, order_of
-from .table import KIND
+from .table import KIND, check_rows
 
 DRIVEN = ("base_tension", "displacement", "tip_angle")  # the first that the file has is the path
 
@@ -50,19 +51,11 @@ def read_path_file(path: str | os.PathLike[str], columns: Mapping[str, str] | No
             raise InputError(
                 f"holds {len(trials)} trials, but a path is one trial; keep the rows of one, such as {trials[0]}"
             )
-        _check(table, driven)
+        values = table.columns[driven]
+        demand = partial(check_rows, driven, values, table.rows)
+        demand(np.isfinite(values), "must be finite", "correct or remove the row")
+        demand((values >= 0) | (driven != "base_tension"), "must be 0 or more", "correct or remove the row")
         check_order(table.columns, table.rows)
     said = [f"the path is {driven}; not used: {', '.join(others)}"] if others else []
-    values = table.columns[driven][order_of(table.columns)]
+    values = values[order_of(table.columns)]
     return PathFile(values.tolist(), dimension_of(driven), (*table.read_as, *said), table.described)
-
-
-def _check(table: Table, driven: str) -> None:
-    """Every value a number, and no tension negative."""
-    values, is_tension = table.columns[driven], driven == "base_tension"
-    bad = np.flatnonzero(~np.isfinite(values) | (is_tension & (values < 0)))
-    if bad.size:
-        got = float(values[bad[0]])
-        negative = np.isfinite(got)
-        rule = f"must be 0 or more, got {written(got, 'force')}" if negative else f"must be finite, got {got:g}"
-        raise InputError(f"row {table.rows[bad[0]]}, column {driven}: {rule}; correct or remove the row")

@@ -375,7 +375,7 @@ def _check_columns(columns: Iterable[str], unused: Sequence[Heading] = ()) -> No
 
 
 def _check_values(column: str, values: np.ndarray, rows: np.ndarray, table: Mapping[str, np.ndarray]) -> None:
-    demand = partial(_demand, column, values, rows)
+    demand = partial(check_rows, column, values, rows)
     other = table.get(column.replace("base_tension", "displacement"), np.full(len(values), np.nan))
     may_miss = is_reading(column, table) or (column.startswith("base_tension") & np.isfinite(other))
     demand(np.isfinite(values) | (np.isnan(values) & may_miss), "must be finite", "give a number or remove the row")
@@ -392,7 +392,9 @@ def _check_values(column: str, values: np.ndarray, rows: np.ndarray, table: Mapp
         demand(values >= 0, "must be 0 or more", "check its sign and the zero of the sensor")
 
 
-def _demand(column: str, values: np.ndarray, rows: np.ndarray, good: np.ndarray, rule: str, remedy: str) -> None:
+def check_rows(
+    column: str, values: np.ndarray, rows: Sequence[int] | np.ndarray, good: np.ndarray, rule: str, remedy: str
+) -> None:
     """Raise for the first row that is not good."""
     if not np.all(good):
         bad = int(np.argmin(good))

@@ -97,13 +97,11 @@ def _joined(tables: Sequence[Measurements]) -> Measurements:
 
 def repeated_tables(tables: Sequence[Measurements]) -> list[str]:
     """A warning for each table of several that holds the same numbers as an earlier one."""
-    first: dict[str, tuple[int, str]] = {}
-    found = []
-    for number, table in enumerate(tables, 1):
-        earlier, name = first.setdefault(table.checksum, (number, table.name))
-        if earlier != number:
-            found.append(
-                f"{table.name}: table {number} holds the same numbers as table {earlier} ({name}), which thus "
-                "count twice and make standard errors too small; leave one out"
-            )
-    return found
+    sums = [table.checksum for table in tables]
+    pairs = [(sums.index(own), number) for number, own in enumerate(sums)]
+    return [
+        f"{tables[number].name}: table {number + 1} holds the same numbers as table {first + 1} "
+        f"({tables[first].name}), which thus count twice and make standard errors too small; leave one out"
+        for first, number in pairs
+        if first != number
+    ]
