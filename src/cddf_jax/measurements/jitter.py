@@ -15,7 +15,6 @@ from .holds import CLEAR_GAP, NO_STEP, hold_labels, is_ramp
 SURE = 3.0  # standard deviations of each of two levels by which these differ, if the tension turned
 LARGEST_JITTER = 0.02  # of the largest tension; a larger way back is always a turn
 LEAST_FREEDOM = 5  # degrees of freedom from which the noise within holds is estimated
-FEW = 4  # rows: with a stated noise the mean of so few is not taken, as it may hide a turn
 STEP = 3.0  # standard deviations between the means before and after a step within a hold
 
 
@@ -38,13 +37,9 @@ def without_jitter(readings: np.ndarray, noise: float | None = None) -> Steady:
     """
     if noise == 0 or readings.size < 2:
         return Steady(readings, 0.0, 0.0, 0)
-    if noise is None:
-        holds = hold_labels(readings[:, None], np.zeros(readings.size))
-        holds = _split(readings, holds, _scatter(readings, holds))
-    else:
-        holds = _split(readings, np.zeros(readings.size, int), noise)
-        few = np.bincount(holds)[holds] <= FEW
-        holds = np.cumsum(np.append(True, (np.diff(holds) != 0) | few[1:])) - 1
+    one = np.zeros(readings.size, int)
+    holds = hold_labels(readings[:, None], one) if noise is None else one
+    holds = _split(readings, holds, _scatter(readings, holds) if noise is None else noise)
     holds = np.arange(readings.size) if is_ramp(readings, holds) else holds
     level, size = _means(readings, holds), np.bincount(holds)
     noise = _scatter(readings, holds) if noise is None else noise
@@ -91,12 +86,12 @@ def _scatter(readings: np.ndarray, holds: np.ndarray) -> float:
 
 
 def _split(readings: np.ndarray, holds: np.ndarray, noise: float) -> np.ndarray:
-    """The holds, those of more than a few rows divided where the means of two parts differ by more than the noise."""
+    """The holds, divided where the means of two parts differ by more than the noise."""
     total, new = np.append(0.0, np.cumsum(readings)), np.append(True, np.diff(holds) != 0)
     parts = list(pairwise([*np.flatnonzero(new).tolist(), readings.size])) if noise else []
     while parts:
         start, end = parts.pop()
-        if end - start <= FEW:
+        if end - start < 2:
             continue
         middle = np.arange(start + 1, end)
         before, after = middle - start, end - middle
