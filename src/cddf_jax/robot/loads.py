@@ -73,6 +73,11 @@ class Loads(eqx.Module):
         turned = 3 if (3,) in moments and not along_path else 2
         return max(turned, *(shape[-1] for shape in vectors))
 
+    @property
+    def in_space(self) -> bool:
+        """Whether one of them has three components; static."""
+        return self.components == 3
+
     def with_components(self, count: int) -> "Loads":
         """The same loads with three components each for a count of 3; for 2 they stay as they are."""
         if count < 3:

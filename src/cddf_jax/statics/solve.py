@@ -123,7 +123,7 @@ def solve(
     loads = checked_loads(loads)
     if loads is None and any(isinstance(target, TipStiffness) for target in targets):
         loads = Loads()
-    if space or manipulator.in_space or (loads is not None and loads.components == 3):
+    if space or manipulator.in_space or (loads is not None and loads.in_space):
         manipulator = in_space(manipulator)
     check_method(method, in_space=manipulator.in_space, loaded=loads is not None)
     check_targets(manipulator, targets)
