@@ -122,8 +122,9 @@ def test_offsets_and_anchors_that_the_closed_form_takes():
         ),
         (paper_with(cddf.Tendon(0.010, angle=cddf.Linear(0.0, 6.0, 0.140))), "a tendon parallel to the axis of a body"),
         (paper_with(cddf.Tendon(0.010), rest_curvature=(0.0, 0.0, 10.0)), "of a body that is straight at rest"),
+        (paper_with(cddf.Tendon(0.010, outside_drag=1.0)), "closed_form_tension: .* act along a history; use trace"),
     ],
-    ids=["two tendons", "slanted", "winding", "bent at rest"],
+    ids=["two tendons", "slanted", "winding", "bent at rest", "friction along a history"],
 )
 def test_refusals_do_not_depend_on_being_traced(body, message):
     for tension in (cddf.closed_form_tension, eqx.filter_jit(cddf.closed_form_tension)):

@@ -103,3 +103,7 @@ def test_literal_iteration_refuses_finite_turns():
         cddf.iteration_history(paper_with(cddf.Tendon(0.010, angle=0.0)), 40.0)
     with pytest.raises(ValueError, match="a tendon cannot push"):
         cddf.iteration_history(paper_body(), -40.0)
+    with pytest.raises(ValueError, match="friction_moment, outside_friction and outside_drag act along a history"):
+        cddf.iteration_history(paper_with(cddf.Tendon(0.010, outside_friction=0.3)), 40.0)
+    with pytest.raises(ValueError, match="max_updates must be a whole number of 1 or more"):
+        cddf.iteration_history(paper_body(), 40.0, max_updates=0)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from bodies import codes, paper_body, paper_plain, stack, two_slanted_tendons
 from refusals import refused
+from scipy.optimize import brentq
 
 import cddf_jax as cddf
 from cddf_jax import Status
@@ -181,6 +182,28 @@ def test_crossing_is_seen_at_the_very_tip():
     stiffness = 1.4e6 * np.pi / 4 * (0.013**4 - 0.007**4)
     result = cddf.solve(body, 1.005 * stiffness / 0.010**2, throw=False).status
     assert result == Status.crossing
+
+
+def test_crossing_is_seen_before_a_joint():
+    """The wall is thinnest just before a joint, between two nodes: d kappa = d^2 T / (E J), eq. (13)."""
+    radius = cddf.Piecewise([0.07], [cddf.Linear(0.02, 0.0075, 0.07), 0.02])
+    body = replace(paper_body("exact", friction_coefficient=0.0), outer_radius=radius, tendons=(cddf.Tendon(0.0073),))
+    unit = 1.4e6 * np.pi / 4 * (0.0075**4 - 0.007**4) / 0.0073**2
+    assert cddf.solve(body, 0.98 * unit, nodes=32).status == Status.successful
+    said = refused(cddf.solve, body, 1.02 * unit, nodes=32, error=cddf.SolveError)
+    assert said.startswith("tendon 1: offset * curvature is 1.02 at s = 70 mm")
+
+
+def test_at_the_anchor_of_a_tendon_is_what_lies_before_it():
+    """E J kappa = d T (1 - d kappa) / |t_c|, eq. (13) with eq. (3) normalised, solved by SciPy."""
+    slope, end, tension = 0.020 / 0.140, 0.07, 150.0
+    tendon = cddf.Tendon(cddf.Linear(0.002, 0.022, 0.14), end=end)
+    body = replace(paper_body("exact", friction_coefficient=0.0), tendons=(tendon,))
+    d, stiffness = 0.002 + slope * end, float(body.stiffness(jnp.asarray(end)))
+    kappa = brentq(lambda k: stiffness * k - d * tension * (1 - d * k) / np.hypot(1 - d * k, slope), 0.0, 1 / d)
+    there = cddf.solve(body, tension).at(end)
+    np.testing.assert_allclose(there.curvature, kappa, rtol=1e-9)
+    np.testing.assert_allclose(there.tension, [tension], rtol=1e-12)
 
 
 def test_a_batch_is_refused_with_what_to_map():

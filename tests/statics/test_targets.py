@@ -275,6 +275,16 @@ def test_a_slack_tendon_leaves_the_other_its_displacement():
         solved_pair(body, pulled)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("let_out", [(-0.001, -0.001), (-0.005, -0.001)])
+def test_antagonists_that_are_let_out_hang_loose(let_out):
+    """A body without tension is straight and pulls nothing in."""
+    found = cddf.solve(soft_pair(RIGID, 0.0), tuple(map(cddf.Displacement, let_out)), throw=False)
+    assert found.status == Status.slack
+    np.testing.assert_array_equal(found.base_tension, 0.0)
+    np.testing.assert_allclose(found.target_miss, np.abs(let_out), rtol=1e-12)
+
+
 def test_antagonists_that_do_not_stretch_leave_their_tensions_open():
     """Parallel tendons on a midline that does not stretch: d phi and -d phi, for all tensions."""
     body = soft_pair(RIGID, 0.0)

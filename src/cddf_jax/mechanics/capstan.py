@@ -13,6 +13,7 @@ from ..numerics.elements import Elements, elements_between, gauss_rule, smooth_p
 from ..numerics.given_numbers import check_numbers
 from ..robot.manipulator import Manipulator
 from ..robot.profiles import Constant, Linear, Profile
+from ..robot.validation import refuse_memory
 
 
 def closed_form_tension(
@@ -32,11 +33,12 @@ def closed_form_tension(
         nodes: Gauss nodes for G in each smooth piece of the body. Whether they are enough is not checked.
 
     Raises:
-        ValueError: for a negative tension, more tendons than one, drag, a curvature at rest, a varying angle, or in the
-            exact kinematics a varying offset.
+        ValueError: for a negative tension, more tendons than one, drag, friction along a history, a curvature at rest,
+            a varying angle, or in the exact kinematics a varying offset.
     """
     if manipulator.num_tendons != 1:
         raise ValueError(f"closed_form_tension holds for one tendon, not for {manipulator.num_tendons}; use solve")
+    refuse_memory("closed_form_tension", manipulator)
     if manipulator.tendon_drag is not None:
         raise ValueError("closed_form_tension holds without drag only; use solve, or drag=None")
     tendon = manipulator.tendons[0]

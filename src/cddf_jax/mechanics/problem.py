@@ -194,7 +194,7 @@ def lay_out(
     """
     geometry = geometry_of(manipulator)
     cut = elements_of(manipulator, nodes, loads, rough)
-    nudge = edge_nudge(cut)
+    nudge = cut.nudge
     section = jax.vmap(lambda s: guarded_section(manipulator, s))
     along = section(jnp.concatenate([nudge[None], cut.nodes.ravel(), cut.edges[-1:] - nudge]))
     starts = cut.edges[:-1]
@@ -313,11 +313,6 @@ def guarded_section(manipulator: Manipulator, arc_length: Number) -> AnySection:
     return eqx.tree_at(lambda section: section.stiffness, section, stiffness)
 
 
-def edge_nudge(cut: Elements) -> Number:
-    """A step away from an edge, m, just large enough that rounding does not confuse the two sides of the edge."""
-    return 8 * float(jnp.finfo(cut.edges.dtype).eps) * cut.edges[-1]
-
-
 # --- values along the body -------------------------------------------------------------------------
 
 
@@ -382,16 +377,13 @@ def all_points(problem: Problem, states: BodyStates) -> tuple[AnySection, State]
 
 
 def fibres_cross(problem: Problem, states: BodyStates) -> Bool[Array, ""]:
-    """Whether sigma d kappa of a tendon that is present reaches 1 at base, nodes or tip.
+    """Whether sigma d kappa of a tendon that is present reaches 1 at a node or at an end of an element.
 
     In space it is by how much the fibre at the tendon is shorter than the axis at rest.
     """
-
-    def inside(section: AnySection, state: State) -> Number:
-        strain = strain_of(section, problem.base_tension, state)
-        return jnp.max(where_present(section, problem.geometry.inside(section, strain), -jnp.inf))
-
-    return jnp.any(jax.vmap(inside)(*all_points(problem, states)) >= 1.0)
+    strain = strain_along(problem.nodes, problem.base_tension, states.nodes)
+    inside = where_present(problem.nodes, at_nodes(problem.geometry.inside, (0, 0))(problem.nodes, strain))
+    return jnp.any(inside >= 1.0) | jnp.any(problem.elements.at_starts_and_ends(inside) >= 1.0)
 
 
 def at_nodes(function: Callable[..., Array], in_axes: tuple[int | None, ...]) -> Callable[..., Array]:

@@ -358,6 +358,16 @@ class Elements(eqx.Module):
         """The weight of each node in a mean along the body; their sum is 1."""
         return self.width[:, None] * jnp.asarray(self.rule.weights, self.width.dtype) / self.edges[-1]
 
+    @property
+    def nudge(self) -> Float[Array, ""]:
+        """A step away from an edge, m, just large enough that rounding does not confuse the two sides of the edge."""
+        return 8 * float(jnp.finfo(self.edges.dtype).eps) * self.edges[-1]
+
+    def before_edge(self, arc_length: Float[Array, ""]) -> Float[Array, ""]:
+        """The arc length, or just before it where an element ends within the body: there cross-sections may jump."""
+        ends = (self.edges == arc_length) & (self.edges > 0) & (self.edges < self.edges[-1])
+        return jnp.where(jnp.any(ends), arc_length - self.nudge, arc_length)
+
     def gain(self, rate: Float[Array, "P p *k"]) -> Float[Array, "P *k"]:
         """The integral of `rate` over each element."""
         return self._widths(rate) * (jnp.moveaxis(rate, 1, -1) @ jnp.asarray(self.rule.weights, rate.dtype))

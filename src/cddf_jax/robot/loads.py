@@ -1,19 +1,12 @@
 """Dead loads on a manipulator: forces and moments that keep their direction in space while the body bends."""
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from ..units import shown
 from .profiles import Number, as_number
-
-
-def _as_vector(value: object) -> Number:
-    """A number, or components, which may be traced one by one."""
-    parts = jax.tree.leaves(value)
-    return jnp.stack(parts) if len(parts) > 1 and any(isinstance(x, jax.Array) for x in parts) else as_number(value)
 
 
 class PointLoad(eqx.Module):
@@ -29,8 +22,8 @@ class PointLoad(eqx.Module):
     """
 
     arc_length: Number = eqx.field(converter=as_number)
-    force: Float[Number, " components"] = eqx.field(default=(0.0, 0.0), converter=_as_vector)
-    moment: Float[Number, "..."] = eqx.field(default=0.0, converter=_as_vector)
+    force: Float[Number, " components"] = eqx.field(default=(0.0, 0.0), converter=as_number)
+    moment: Float[Number, "..."] = eqx.field(default=0.0, converter=as_number)
 
     def __check_init__(self):
         _check_components("PointLoad: force", self.force)
@@ -53,9 +46,9 @@ class Loads(eqx.Module):
         TypeError: when points holds anything else.
     """
 
-    tip_force: Float[Number, " components"] = eqx.field(default=(0.0, 0.0), converter=_as_vector)
-    tip_moment: Float[Number, "..."] = eqx.field(default=0.0, converter=_as_vector)
-    gravity: Float[Number, " components"] = eqx.field(default=(0.0, 0.0), converter=_as_vector)
+    tip_force: Float[Number, " components"] = eqx.field(default=(0.0, 0.0), converter=as_number)
+    tip_moment: Float[Number, "..."] = eqx.field(default=0.0, converter=as_number)
+    gravity: Float[Number, " components"] = eqx.field(default=(0.0, 0.0), converter=as_number)
     points: tuple[PointLoad, ...] = eqx.field(default=(), converter=tuple)
 
     def __check_init__(self):

@@ -26,13 +26,15 @@ FEW = 64  # points among which comparing is faster than searching
 
 
 def as_number(value: object) -> Number:
-    """An array of JAX as it is; every other number as a NumPy float64 array.
+    """An array of JAX, or one of such numbers; every other number as a NumPy float64 array.
 
     Raises:
         InputError: for numbers that are not plain, such as those with a unit.
     """
     check_numbers("", value)
-    return value if isinstance(value, jax.Array) else np.asarray(value, dtype=np.float64)
+    parts = value if isinstance(value, list | tuple) else [value]
+    traced = any(isinstance(part, jax.Array) for part in parts)
+    return jnp.asarray(value) if traced else np.asarray(value, dtype=np.float64)
 
 
 def as_optional_number(value: object) -> Any:

@@ -57,6 +57,17 @@ def check_manipulator(manipulator: Manipulator, offsets_outside_wall: bool) -> N
         _check_apart(manipulator, s)
 
 
+def refuse_memory(who: str, manipulator: Manipulator) -> None:
+    """Refuse friction that acts along a history only.
+
+    Raises:
+        InputError: names it and the remedy.
+    """
+    if manipulator.has_memory:
+        what = f"{who}: friction_moment, outside_friction and outside_drag act along a history"
+        raise InputError(what, remedy="use trace, or leave them out of the body")
+
+
 def check_loads(manipulator: Manipulator, loads: Loads | None) -> None:
     """Refuse gravity on a body without mass, and loads beside the body; traced values are not checked.
 

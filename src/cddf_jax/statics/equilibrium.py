@@ -11,7 +11,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from ..errors import InputError
 from ..mechanics.fields import AnyFields, fields_at, tendons_first
-from ..mechanics.problem import BodyStates, State, edge_nudge, geometry_at, guarded_section, strain_of
+from ..mechanics.problem import BodyStates, State, geometry_at, guarded_section, strain_of
 from ..numerics.arrays import words_or_shapes
 from ..numerics.elements import Elements
 from ..numerics.given_numbers import check_numbers
@@ -146,7 +146,8 @@ class Equilibrium(eqx.Module):
         """The same fields anywhere along the body.
 
         Args:
-            arc_length: s, m, a number or an array of any shape; the fields are NaN outside 0 to L.
+            arc_length: s, m, a number or an array of any shape; the fields are NaN outside 0 to L. At a joint or the
+                anchor of a tendon they are those before it.
         """
         self._check_single("at(s)")
         check_numbers("at: arc_length", arc_length)
@@ -176,8 +177,9 @@ class Dense(eqx.Module):
         return self.elements.interpolate(*self.states, arc_length)
 
     def __call__(self, arc_length: Float[Array, ""]) -> AnyFields:
-        """The fields at one arc length, tendons last."""
-        fields = fields_at(self.manipulator, self.base_tension, self.direction, arc_length, self.state)
+        """The fields at one arc length, tendons last; at a joint those before it."""
+        place = self.elements.before_edge(arc_length)
+        fields = fields_at(self.manipulator, self.base_tension, self.direction, place, self.state)
         inside = (arc_length >= 0) & (arc_length <= self.elements.edges[-1])
         return nan_unless(self.solved & inside, fields)
 
@@ -185,6 +187,7 @@ class Dense(eqx.Module):
         """Offset * curvature of each tendon; in space by how much the fibre there is shorter than the axis at rest."""
 
         def at(s: Float[Array, ""]) -> PerTendon:
+            s = self.elements.before_edge(s)
             section = guarded_section(self.manipulator, s)
             strain = strain_of(section, self.base_tension, self.state(s))
             return geometry_at(section).inside(section, strain)
@@ -195,7 +198,7 @@ class Dense(eqx.Module):
         """The largest |R_outer kappa|, and its arc length, m."""
         if self.manipulator.outer_radius is None:
             raise InputError("peak_strain: the body has no outer_radius; give it both radii, or leave the strain out")
-        cut, nudge = self.elements, edge_nudge(self.elements)
+        cut, nudge = self.elements, self.elements.nudge
         left, right = cut.edges[:-1, None], cut.edges[1:, None]
         places = left + cut.width[:, None] * FRACTIONS
         within = jnp.clip(places, left + nudge, right - nudge)  # at a joint each side has its own radius

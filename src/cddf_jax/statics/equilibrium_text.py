@@ -145,7 +145,9 @@ def result_in_words(equilibrium: Equilibrium) -> str:
 
 def describe_crossing(equilibrium: Equilibrium) -> str:
     """Where offset * curvature is largest on the inside of a bend, as "tendon 1: offset * curvature is 1.08 at ..."."""
-    body, s = equilibrium._dense.manipulator, np.asarray(equilibrium.arc_length)
+    body, cut = equilibrium._dense.manipulator, equilibrium.elements
+    ends = cut.edges[:-1] + cut.nudge, cut.edges[1:] - cut.nudge  # of the elements, where a joint may be
+    s = np.concatenate([np.asarray(equilibrium.arc_length), *map(np.asarray, ends)])
     inside = np.asarray(_inside_of_bend(equilibrium._dense, s))
     reach = np.asarray([body.length if tendon.end is None else tendon.end for tendon in body.tendons])[:, None]
     crossing = np.where(s <= reach, inside, 0.0)

@@ -33,6 +33,7 @@ from ..numerics.fixed_point import FixedPointResult, fixed_point, without_deriva
 from ..numerics.given_numbers import check_whole
 from ..robot.cross_section import planar, where_present
 from ..robot.manipulator import Manipulator
+from ..robot.validation import refuse_memory
 from .arguments import check_method, one_precision, per_tendon
 from .solve import solve
 
@@ -173,6 +174,8 @@ def iteration_history(
         max_updates: how many updates are made, also after e_tip has fallen below the threshold.
     """
     check_whole("nodes", nodes, 4)
+    check_whole("max_updates", max_updates, 1)
+    refuse_memory("iteration_history", manipulator)
     check_method(LiteralIteration(), in_space=manipulator.in_space, loaded=False)
     _refuse_drag(manipulator)
     given = per_tendon(manipulator, base_tension, direction)

@@ -9,7 +9,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
-from ..errors import InputError, SolveError
+from ..errors import SolveError
 from ..mechanics.directions import Directions, is_contradicted, not_stated
 from ..mechanics.fields import AnyFields, fields_at, planar_fields, tendons_first
 from ..mechanics.friction import Pull, unspent
@@ -25,7 +25,7 @@ from ..robot.cross_section import planar
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator, in_space
 from ..robot.profiles import Number
-from ..robot.validation import check_loads
+from ..robot.validation import check_loads, refuse_memory
 from .arguments import (
     GivenDirections,
     are_possible,
@@ -98,7 +98,7 @@ def solve(
     Derivatives are one-sided where the curvature is zero along a stretch of the body (no tension and no load, or
     antagonists that cancel): friction acts on |kappa|, whose slope there is taken as that of kappa > 0. Across
     isolated changes of sign first derivatives are right to 1e-6 or better, and second ones
-    to 1e-4.
+    to 1e-4. Of anchors, joints, masses and loads at one place, only the sum of their derivatives by it is right.
     Where drag has used up the tension of a tendon that slides in, the tendon is slack: it has no tension and no
     friction, and follows the body. Its tip tension is 0, and so are the derivatives of the tip tension.
     Of the body only numbers that would make the results meaningless are checked here (finite; stiffness above 0;
@@ -114,9 +114,7 @@ def solve(
     """
     if not isinstance(manipulator, Manipulator):
         raise TypeError(f"solve: the first argument must be a Manipulator, got {type(manipulator).__name__}")
-    if manipulator.has_memory:
-        what = "solve: friction_moment, outside_friction and outside_drag act along a history"
-        raise InputError(what, remedy="use trace, or leave them out of the body")
+    refuse_memory("solve", manipulator)
     check_whole("nodes", nodes, 4)
     given, targets = split_actuation(manipulator, base_tension)
     given, direction = per_tendon(manipulator, given, direction)

@@ -153,7 +153,7 @@ class CurvatureAt(eqx.Module):
     arc_length: Scalar = eqx.field(converter=as_number)
 
     def reading(self, setup: Setup, problem: Problem, solution: Solution, tendon: int) -> Number:
-        arc_length = jnp.asarray(self.arc_length, problem.elements.edges.dtype)
+        arc_length = problem.elements.before_edge(jnp.asarray(self.arc_length, problem.elements.edges.dtype))
         state = problem.elements.interpolate(*solution.states, arc_length)
         section = guarded_section(setup.manipulator, arc_length)
         strain = strain_of(section, problem.base_tension, state)

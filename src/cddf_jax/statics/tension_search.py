@@ -134,7 +134,8 @@ def reach(setup: Setup, targets: Targets) -> tuple[Balance, Found]:
         return _reach_place(setup, targets[0])
     wanted = {i: target for i, target in enumerate(targets) if isinstance(target, Target)}
     aim = _aim_at(*without_derivative((setup, wanted)))
-    start = jnp.full_like(aim.least, tol.FIRST_TENSION)
+    let_out = [isinstance(target, Displacement) & (jnp.asarray(target.value) <= 0) for target in wanted.values()]
+    start = aim.least + jnp.where(jnp.stack(let_out), 0.0, tol.FIRST_TENSION)  # such a tendon may be loose
     best, slack = _levenberg_marquardt(aim, aim.nothing(start), start, start < 0)
     reached, determined = _is_reached(aim, best, slack)
     sizes = jnp.stack([target.size(setup) for target in wanted.values()])
