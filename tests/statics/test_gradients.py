@@ -125,3 +125,35 @@ def test_a_modulus_that_grows_with_all_tensions_bends_no_further():
     value, *modes = both_modes(lambda factor: answer(factor[0]))(jnp.ones(1))
     for slopes in modes:
         np.testing.assert_allclose(slopes[:, 0], [*value[:2], 0.0], rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("places", [(0.05, 0.09), (0.07, 0.07)])
+def test_derivatives_by_each_of_two_anchors(places):
+    """Without friction phi = sum sigma d T end / (E J), eq. (13); also where the anchors are at one place."""
+    tension, offset = np.array([30.0, 10.0]), 0.010
+    plain = replace(paper_body("exact", friction_coefficient=0.0), outer_radius=0.013)
+
+    def angle(ends):
+        tendons = cddf.Tendon(offset, end=ends[0]), cddf.Tendon(offset, side=-1, end=ends[1])
+        return cddf.solve(replace(plain, tendons=tendons), tension, direction=[1, -1]).tip_angle
+
+    stiffness = 1.4e6 * np.pi / 4 * (0.013**4 - 0.007**4)
+    bends = offset * tension * [1.0, -1.0] / stiffness
+    value, *derivatives = both_modes(angle)(np.array(places))
+    np.testing.assert_allclose(value, bends @ places, rtol=1e-12)
+    for found in derivatives:
+        np.testing.assert_allclose(found, bends, rtol=1e-9)
+
+
+def test_derivatives_by_each_of_two_loads_at_one_place():
+    """They are those of the loads a little apart, as the place of the tip is smooth in both."""
+
+    def tip(places):
+        loads = cddf.Loads(points=[cddf.PointLoad(places[0], (0.0, -1.0)), cddf.PointLoad(places[1], (0.0, 0.6))])
+        return cddf.solve(paper_body("exact"), 30.0, loads).tip_position[1]
+
+    derivatives = both_modes(tip)
+    for found, beside in zip(
+        derivatives(np.array([0.07, 0.07])), derivatives(np.array([0.07, 0.0700001])), strict=True
+    ):
+        np.testing.assert_allclose(found, beside, rtol=1e-5)

@@ -23,6 +23,7 @@ from ..robot.manipulator import Manipulator, PointMass
 from .friction import PerTendon, Pull, is_proportional, spent_rate, unspent
 from .geometry import PLANE, SPACE, Geometry
 
+APART = 64  # rounding errors of the length, between places that coincide
 Number = Float[Array, ""]
 Moment = Float[Array, "*components"]  # a number in the plane, (3,) in space
 Heading = Float[Array, "..."]  # phi, rad, in the plane; a quaternion in space
@@ -33,7 +34,7 @@ class Joints(NamedTuple):
 
     before: AnySection
     after: AnySection
-    turns: Bool[Array, " P"]  # of several joints at one place the last one, which an element with a length follows
+    turns: Bool[Array, " P"]  # none does at the tip
 
 
 class Outboard(NamedTuple):
@@ -193,12 +194,12 @@ def lay_out(
     A rough problem passes over kinks: each smooth piece is one element.
     """
     geometry = geometry_of(manipulator)
-    cut = elements_of(manipulator, nodes, loads, rough)
-    nudge = cut.nudge
-    section = jax.vmap(lambda s: guarded_section(manipulator, s))
-    along = section(jnp.concatenate([nudge[None], cut.nodes.ravel(), cut.edges[-1:] - nudge]))
-    starts = cut.edges[:-1]
-    inside = jnp.minimum(starts + nudge, cut.edges[-1] - nudge)  # a tendon that ends at the tip causes no turn there
+    cut, apart = elements_of(manipulator, nodes, loads, rough), with_places_apart(manipulator, loads)
+    there = elements_of(apart[0], nodes, apart[1], rough)
+    nudge, last = cut.nudge, cut.edges[-1] - cut.nudge
+    section = jax.vmap(lambda s: guarded_section(apart[0], s))
+    along = section(jnp.concatenate([nudge[None], there.nodes.ravel(), last[None]]))
+    sides = jnp.maximum(there.edges[:-1] - nudge, 0.0), jnp.minimum(there.edges[:-1] + nudge, last)  # of each edge
     joints = breakpoints_under(manipulator, loads).shape[0] > 0
     turns = joints and not geometry.has_closed_strain(manipulator, loads is not None)  # by a finite angle
     return Problem(
@@ -208,9 +209,9 @@ def lay_out(
         cut,
         points=along,
         nodes=jax.tree.map(lambda x: x[1:-1].reshape(*cut.nodes.shape, *x.shape[1:]), along),
-        joints=Joints(section(jnp.maximum(starts - nudge, 0.0)), section(inside), cut.width > nudge) if turns else None,
+        joints=Joints(*map(section, sides), cut.edges[:-1] < last) if turns else None,
         loads=loads,
-        outboard=_outboard(manipulator, cut, loads),
+        outboard=_outboard(cut, there, *apart),
         base_moment=jnp.asarray(geometry.no_moment, cut.edges.dtype),
         moment_scale=geometry.bending_stiffness(along)[0] / cut.edges[-1],
         rough=rough,
@@ -221,6 +222,23 @@ def breakpoints_under(manipulator: Manipulator, loads: Loads | None) -> Float[Ar
     """Arc lengths (m), unsorted, at which the body or a tendon is not smooth, or a load acts."""
     places = [] if loads is None else [jnp.asarray(point.arc_length)[None] for point in loads.points]
     return jnp.concatenate([manipulator.breakpoints, *places])
+
+
+def with_places_apart(manipulator: Manipulator, loads: Loads | None) -> tuple[Manipulator, Loads | None]:
+    """Body and loads, in which places that coincide are moved apart by little more than rounding errors.
+
+    So each element lies between two places that follow one another, also where it has no width, and what changes at
+    one place does not change at the next one. Derivatives by each of the places need that.
+    """
+    numbers, rest = eqx.partition((manipulator, loads), eqx.is_inexact_array)
+    places, to_numbers = jax.vjp(lambda numbers: breakpoints_under(*eqx.combine(numbers, rest)), numbers)
+    if places.size < 2:
+        return manipulator, loads
+    behind = jnp.sum(jnp.triu(places[:, None] == places, 1), axis=1)  # how many follow at the same place
+    step = APART * float(jnp.finfo(places.dtype).eps) * jnp.asarray(manipulator.length)
+    (moved,) = to_numbers((-step * behind).astype(places.dtype))
+    moved = jax.tree.map(lambda x, change: x + jax.lax.stop_gradient(change), numbers, moved)
+    return eqx.combine(moved, rest)
 
 
 def elements_of(manipulator: Manipulator, nodes: int, loads: Loads | None, rough: bool = False) -> Elements:
@@ -240,17 +258,18 @@ def elements_of(manipulator: Manipulator, nodes: int, loads: Loads | None, rough
     return elements_between(ends, count * round(share * nodes), count)
 
 
-def _outboard(manipulator: Manipulator, cut: Elements, loads: Loads | None) -> Outboard:
+def _outboard(cut: Elements, there: Elements, manipulator: Manipulator, loads: Loads | None) -> Outboard:
+    """The loads outboard; body and loads are those `with_places_apart`, whose elements are `there`."""
     geometry = geometry_of(manipulator)
     if loads is None:
         zero = jnp.zeros((*cut.nodes.shape, geometry.components), cut.edges.dtype)
         return Outboard(zero[:, 0], zero, zero[0, 0], jnp.asarray(geometry.no_moment, zero.dtype))
-    edges, nodes = cut.integrate(load_rate(manipulator, cut.nodes, loads))
+    edges, nodes = cut.integrate(load_rate(manipulator, there.nodes, loads))
     force = jnp.asarray(loads.tip_force)
     beyond = force + edges[-1]
     along = Outboard(beyond - edges[:-1], beyond - nodes, force, jnp.asarray(loads.tip_moment))
     points = loads_at_points(loads, manipulator.point_masses)
-    return along if points is None else _with_points(along, cut, points)
+    return along if points is None else _with_points(along, there, points)
 
 
 def _with_points(along: Outboard, cut: Elements, points: "AtPoints") -> Outboard:

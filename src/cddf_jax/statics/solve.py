@@ -98,7 +98,7 @@ def solve(
     Derivatives are one-sided where the curvature is zero along a stretch of the body (no tension and no load, or
     antagonists that cancel): friction acts on |kappa|, whose slope there is taken as that of kappa > 0. Across
     isolated changes of sign first derivatives are right to 1e-6 or better, and second ones
-    to 1e-4. Of anchors, joints, masses and loads at one place, only the sum of their derivatives by it is right.
+    to 1e-4.
     Where drag has used up the tension of a tendon that slides in, the tendon is slack: it has no tension and no
     friction, and follows the body. Its tip tension is 0, and so are the derivatives of the tip tension.
     Of the body only numbers that would make the results meaningless are checked here (finite; stiffness above 0;
