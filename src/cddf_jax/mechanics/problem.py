@@ -195,7 +195,7 @@ def lay_out(
     """
     geometry = geometry_of(manipulator)
     cut, apart = elements_of(manipulator, nodes, loads, rough), with_places_apart(manipulator, loads)
-    there = elements_of(apart[0], nodes, apart[1], rough)
+    there = cut if apart[0] is manipulator else elements_of(apart[0], nodes, apart[1], rough)
     nudge, last = cut.nudge, cut.edges[-1] - cut.nudge
     section = jax.vmap(lambda s: guarded_section(apart[0], s))
     along = section(jnp.concatenate([nudge[None], there.nodes.ravel(), last[None]]))
