@@ -34,7 +34,7 @@ class Joints(NamedTuple):
 
     before: AnySection
     after: AnySection
-    turns: Bool[Array, " P"]  # none does at the tip
+    turns: Bool[Array, " P"]  # of several joints at one place the last one, which an element with a length follows
 
 
 class Outboard(NamedTuple):
@@ -197,11 +197,11 @@ def lay_out(
     cut, apart = elements_of(manipulator, nodes, loads, rough), with_places_apart(manipulator, loads)
     there = cut if apart[0] is manipulator else elements_of(apart[0], nodes, apart[1], rough)
     nudge, last = cut.nudge, cut.edges[-1] - cut.nudge
-    section = jax.vmap(lambda s: guarded_section(apart[0], s))
-    along = section(jnp.concatenate([nudge[None], there.nodes.ravel(), last[None]]))
-    sides = jnp.maximum(there.edges[:-1] - nudge, 0.0), jnp.minimum(there.edges[:-1] + nudge, last)  # of each edge
+    along = _sections(apart[0], jnp.concatenate([nudge[None], there.nodes.ravel(), last[None]]))
+    sides = jnp.maximum(cut.edges[:-1] - nudge, 0.0), jnp.minimum(cut.edges[:-1] + nudge, last)  # of each edge
     joints = breakpoints_under(manipulator, loads).shape[0] > 0
     turns = joints and not geometry.has_closed_strain(manipulator, loads is not None)  # by a finite angle
+    loaded = (cut, manipulator, loads) if turns else (there, *apart)  # all loads at one place turn a tendon at once
     return Problem(
         manipulator,
         base_tension,
@@ -209,13 +209,17 @@ def lay_out(
         cut,
         points=along,
         nodes=jax.tree.map(lambda x: x[1:-1].reshape(*cut.nodes.shape, *x.shape[1:]), along),
-        joints=Joints(*map(section, sides), cut.edges[:-1] < last) if turns else None,
+        joints=Joints(*(_sections(manipulator, s) for s in sides), cut.width > nudge) if turns else None,
         loads=loads,
-        outboard=_outboard(cut, there, *apart),
+        outboard=_outboard(cut, *loaded),
         base_moment=jnp.asarray(geometry.no_moment, cut.edges.dtype),
         moment_scale=geometry.bending_stiffness(along)[0] / cut.edges[-1],
         rough=rough,
     )
+
+
+def _sections(manipulator: Manipulator, arc_length: Float[Array, " points"]) -> AnySection:
+    return jax.vmap(lambda s: guarded_section(manipulator, s))(arc_length)
 
 
 def breakpoints_under(manipulator: Manipulator, loads: Loads | None) -> Float[Array, " n"]:
@@ -259,7 +263,13 @@ def elements_of(manipulator: Manipulator, nodes: int, loads: Loads | None, rough
 
 
 def _outboard(cut: Elements, there: Elements, manipulator: Manipulator, loads: Loads | None) -> Outboard:
-    """The loads outboard; body and loads are those `with_places_apart`, whose elements are `there`."""
+    """The loads outboard of all elements.
+
+    Args:
+        cut: the elements.
+        there: the same, where the places of body and loads lie apart.
+        manipulator, loads: the body and its loads there.
+    """
     geometry = geometry_of(manipulator)
     if loads is None:
         zero = jnp.zeros((*cut.nodes.shape, geometry.components), cut.edges.dtype)
