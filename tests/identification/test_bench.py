@@ -255,6 +255,7 @@ def test_parameters_of_tendons_that_are_not_there(name):
     assert said == f"{name}: there is no such tendon, the body has 2; they count from 1"
 
 
+@pytest.mark.slow
 def test_antagonists_may_hang_slack_in_turn():
     """Tendon 2 alone bends the body of the plane as tendon 1 does, to the other side."""
     body, lengths = paper_body("exact", num_tendons=2), np.array([2e-3, 4e-3])

@@ -145,6 +145,7 @@ def test_derivatives_by_each_of_two_anchors(places):
         np.testing.assert_allclose(found, bends, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_derivatives_by_each_of_two_loads_at_one_place():
     """They are those of the loads a little apart, as the place of the tip is smooth in both."""
 

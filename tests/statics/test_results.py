@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from bodies import codes, paper_body, paper_plain, stack, two_slanted_tendons
+from kinds import root_of
 from refusals import refused
-from scipy.optimize import brentq
 
 import cddf_jax as cddf
 from cddf_jax import Status
@@ -200,7 +200,7 @@ def test_at_the_anchor_of_a_tendon_is_what_lies_before_it():
     tendon = cddf.Tendon(cddf.Linear(0.002, 0.022, 0.14), end=end)
     body = replace(paper_body("exact", friction_coefficient=0.0), tendons=(tendon,))
     d, stiffness = 0.002 + slope * end, float(body.stiffness(jnp.asarray(end)))
-    kappa = brentq(lambda k: stiffness * k - d * tension * (1 - d * k) / np.hypot(1 - d * k, slope), 0.0, 1 / d)
+    kappa = root_of(lambda k: stiffness * k - d * tension * (1 - d * k) / np.hypot(1 - d * k, slope), 0.0, 1 / d)
     there = cddf.solve(body, tension).at(end)
     np.testing.assert_allclose(there.curvature, kappa, rtol=1e-9)
     np.testing.assert_allclose(there.tension, [tension], rtol=1e-12)

@@ -198,7 +198,6 @@ def lay_out(
     there = cut if apart[0] is manipulator else elements_of(apart[0], nodes, apart[1], rough)
     nudge, last = cut.nudge, cut.edges[-1] - cut.nudge
     along = _sections(apart[0], jnp.concatenate([nudge[None], there.nodes.ravel(), last[None]]))
-    sides = jnp.maximum(cut.edges[:-1] - nudge, 0.0), jnp.minimum(cut.edges[:-1] + nudge, last)  # of each edge
     joints = breakpoints_under(manipulator, loads).shape[0] > 0
     turns = joints and not geometry.has_closed_strain(manipulator, loads is not None)  # by a finite angle
     loaded = (cut, manipulator, loads) if turns else (there, *apart)  # all loads at one place turn a tendon at once
@@ -209,7 +208,7 @@ def lay_out(
         cut,
         points=along,
         nodes=jax.tree.map(lambda x: x[1:-1].reshape(*cut.nodes.shape, *x.shape[1:]), along),
-        joints=Joints(*(_sections(manipulator, s) for s in sides), cut.width > nudge) if turns else None,
+        joints=_joints(manipulator, cut) if turns else None,
         loads=loads,
         outboard=_outboard(cut, *loaded),
         base_moment=jnp.asarray(geometry.no_moment, cut.edges.dtype),
@@ -220,6 +219,13 @@ def lay_out(
 
 def _sections(manipulator: Manipulator, arc_length: Float[Array, " points"]) -> AnySection:
     return jax.vmap(lambda s: guarded_section(manipulator, s))(arc_length)
+
+
+def _joints(manipulator: Manipulator, cut: Elements) -> Joints:
+    starts, last = cut.edges[:-1], cut.edges[-1] - cut.nudge
+    before = _sections(manipulator, jnp.maximum(starts - cut.nudge, 0.0))
+    after = _sections(manipulator, jnp.minimum(starts + cut.nudge, last))
+    return Joints(before, after, cut.width > cut.nudge)
 
 
 def breakpoints_under(manipulator: Manipulator, loads: Loads | None) -> Float[Array, " n"]:
