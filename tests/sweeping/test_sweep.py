@@ -177,6 +177,26 @@ def test_loops_of_several_tendons_and_under_loads_are_traces():
     )
 
 
+def test_loads_that_are_not_on_a_path_act_before_its_first_step():
+    """Before it nothing rubs inside the body: it bends by the moment times L / (E J). Later its friction would hold."""
+    stiffness, moment = 1.4e6 * np.pi / 4 * (0.01**4 - 0.004**4), 0.006
+    tube = cddf.Manipulator(
+        length=0.14,
+        outer_radius=0.01,
+        inner_radius=0.004,
+        youngs_modulus=1.4e6,
+        friction_coefficient=0.0,
+        friction_moment=0.01,  # larger than the moment
+        tendons=[cddf.Tendon(0.007)],
+    )
+    loads = cddf.Loads(tip_moment=moment, points=[cddf.PointLoad(0.05)])
+    zero = [0.0, 0.0]
+    for name in ("loads.tip_force.1", "loads.points.0.force.1"):
+        over = {"path": {"base_tension": zero, name: zero}}
+        found = cddf.sweep(tube, over, loads=loads, history=True, outputs=("tip_angle",), nodes=4, short_steps=2)
+        np.testing.assert_allclose(found.tip_angle, moment * 0.14 / stiffness, rtol=1e-9)
+
+
 ONE = paper_body()
 
 

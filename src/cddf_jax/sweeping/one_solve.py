@@ -13,7 +13,7 @@ from ..history.history import ENERGIES, History
 from ..history.trace import trace
 from ..quantities import QUANTITIES
 from ..robot.loads import Loads
-from ..statics.named_numbers import Case
+from ..statics.named_numbers import Case, holds
 from ..statics.solve import solve
 from ..statics.status import Status
 from .axes import Dimension
@@ -154,15 +154,19 @@ class OneSolve(eqx.Module):
 
 
 def _along(case: Case, path: dict[str, Float[Array, " steps"]]) -> tuple[Array, Loads | None]:
-    """Base tensions of all tendons, step first, and the loads: constant ones, or step first if any of them changes."""
+    """Base tensions of all tendons, step first, and the loads; those that change are step first as well."""
     count = case.manipulator.num_tendons
 
     def after_step(numbers: Numbers) -> tuple[Array, Loads | None]:
         there = case.with_numbers(numbers)
         return jnp.broadcast_to(jnp.asarray(there.base_tension), count), there.loads
 
+    def changing(place: tuple, stays: ArrayLike, after_steps: Array) -> ArrayLike:
+        load = f"loads.{jax.tree_util.keystr(place, simple=True, separator='.')}"
+        return after_steps if any(name == load or holds(load, name) for name in path) else stays
+
     tension, loads = jax.vmap(after_step)(path)
-    return tension, loads if any(name.startswith("loads.") for name in path) else case.loads
+    return tension, jax.tree_util.tree_map_with_path(changing, case.loads, loads)
 
 
 def _after_each_step(history: History, name: str) -> Array:
