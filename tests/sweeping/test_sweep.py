@@ -367,6 +367,8 @@ BAD = {
     "reserved": ({"tendon": [1.0]}, {}, "rename it"),
     "no tension": ({"youngs_modulus": [1e6]}, {}, "neither given nor an axis"),
     "nodes": ({"base_tension": [1.0]}, {"nodes": 2}, "nodes must be a whole number of 4 or more, got 2"),
+    "no solve in a chunk": ({"base_tension": [1.0]}, {"chunk": 0}, "chunk must be a whole number of 1 or more, got 0"),
+    "half a solve": ({"base_tension": [1.0]}, {"chunk": 1.5}, "chunk must be a whole number of 1 or more, got 1.5"),
     "nodes as an axis": ({"nodes": [8, 16]}, {"base_tension": 1.0}, "'nodes' is not a number of the body"),
     "kinematics": ({"kinematics": ["exact"]}, {"base_tension": 1.0}, "the axis 'kinematics': text cannot be used"),
     "axis and output": ({"base_tension": [1.0]}, {"outputs": ["base_tension"]}, "an axis and an output"),

@@ -18,7 +18,7 @@ from ..batch.lanes import in_lanes
 from ..batch.work import COPIES, Layout, Region, carry_out, even_chunks, not_computed
 from ..errors import InputError, needed, within
 from ..mechanics.directions import as_directions, stated_directions
-from ..numerics.given_numbers import check_numbers
+from ..numerics.given_numbers import check_numbers, check_whole
 from ..robot.loads import Loads
 from ..robot.manipulator import Manipulator
 from ..robot.validation import check_loads
@@ -323,6 +323,8 @@ def _check(work: Sweep) -> None:
     if work.loads is not None and not isinstance(work.loads, Loads):
         raise InputError(f"sweep: loads must be Loads, as in Loads(tip_force=(0.0, -1.0)), got {work.loads!r}")
     check_numbers("sweep: base_tension", jax.tree.leaves(work.base_tension))
+    if work.chunk_size is not None:
+        check_whole("sweep: chunk", work.chunk_size, 1)
     refuse_batch("sweep", work.manipulator)
     if work.history:
         _check_history(work)
