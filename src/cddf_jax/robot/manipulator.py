@@ -37,6 +37,12 @@ STIFFNESSES = ("bending_stiffness", "torsional_stiffness", "axial_stiffness", "s
 Taper = ArrayLike | Sequence[ArrayLike]  # one number, or a pair (base, tip)
 
 
+def _as_side(value: Any) -> int:
+    if isinstance(value, bool) or value not in (+1, -1):
+        raise ValueError(f"Tendon: side must be +1 or -1, got {value!r}")
+    return int(value)
+
+
 def _as_optional_profile(value: ProfileLike | None) -> Profile | None:
     return None if value is None else as_profile(value)
 
@@ -79,7 +85,7 @@ class Tendon(eqx.Module):
     """
 
     offset: Profile = eqx.field(converter=as_profile)
-    side: int = eqx.field(default=+1, static=True)
+    side: int = eqx.field(default=+1, static=True, converter=_as_side)
     end: Scalar | None = eqx.field(default=None, converter=as_optional_number)
     friction_coefficient: Scalar | None = eqx.field(default=None, converter=as_optional_number)
     axial_stiffness: Scalar | None = eqx.field(default=None, converter=as_optional_number)
@@ -91,8 +97,6 @@ class Tendon(eqx.Module):
     angle: Profile | None = eqx.field(default=None, converter=_as_optional_profile)
 
     def __check_init__(self):
-        if self.side not in (+1, -1):
-            raise ValueError(f"Tendon: side must be +1 or -1, got {self.side!r}")
         if self.side == -1 and self.angle is not None:
             raise ValueError("Tendon: side=-1 is the angle pi; give the angle alone")
 
