@@ -408,6 +408,15 @@ def test_a_tip_angle_and_the_sum_of_the_tensions():
 
 
 @pytest.mark.slow
+def test_back_to_the_straight_body():
+    """Without tensions it is straight: a tension of 0 N is reached, although it is found to rounding errors only."""
+    path = [cddf.TipAngle([0.3, 0.0, 0.3, 0.0]), [0.0] * 4]
+    history = cddf.trace(PAIR, path, nodes=4, short_steps=4, estimate_error=False)
+    np.testing.assert_allclose(history.base_tension[1::2], 0.0, atol=1e-9)
+    assert codes(history.status) == [0, 0, 0, 0]
+
+
+@pytest.mark.slow
 def test_a_tip_tension_is_reached():
     """Of one tendon, which has an exact answer; at 20 N the whole tendon slides out."""
     wanted = [75.0, 20.0]

@@ -252,7 +252,8 @@ def stepped_history(manipulator: Manipulator, path: Path, start: SteppedStates |
     by_length = np.array([goal.quantity == "displacement" for goal in kind.driven], bool)
     missed = jnp.where(path.by_goal > 0, pulled_in - path.given, 0.0)[:, driven]
     slack = jnp.any(by_length & (missed > LEAST_SLACK * grid.scale), axis=1)
-    pushes = jnp.any(~by_length & (pull[:, driven] < 0.0), axis=1)
+    least = LEAST_SLACK * grid.scale / grid.softness  # N, to which a tension of zero is found
+    pushes = jnp.any(~by_length & (pull[:, driven] < -least), axis=1)
     return History(
         base_tension=wanted.given.at[:, driven].set(pull[:, driven]),
         tip_tension=tip.tension,
