@@ -277,6 +277,7 @@ def test_more_turns_than_there_is_room_for():
     history = cddf.trace(BODY, path, max_turns=3, throw=False)
     assert codes(history.status) == [cddf.Status.successful] * 3 + [cddf.Status.too_many_turns]
     assert np.isnan(history.tip_angle[3])
+    np.testing.assert_array_equal(np.isnan(history.front), [False, False, False, True])
     np.testing.assert_array_equal(np.isnan(history.at(0.05).tension[:, 0]), [False, False, False, True])
     on = cddf.trace(BODY, [60.0], start=history, throw=False)  # what it remembers is not known
     assert codes(on.status) == [cddf.Status.unphysical]

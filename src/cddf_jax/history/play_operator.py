@@ -122,8 +122,8 @@ def congruent_history(
     turns, front, bodies, tension = jax.tree.map(lambda x: x[-num_steps:], (all_turns, fronts, bodies, path))
     usable, added = jnp.isfinite(wanted), jax.vmap(lambda one: one.whole)(bodies)
     good = added.solved & usable & ~turns.too_many
-    numbers = bodies.tip_tension, added.heading, added.position, added.pulled_in, added.error
-    tip_tension, heading, position, pulled_in, error = jax.vmap(nan_unless)(good, numbers)
+    numbers = bodies.tip_tension, added.heading, added.position, front, added.pulled_in, added.error
+    tip_tension, heading, position, front, pulled_in, error = jax.vmap(nan_unless)(good, numbers)
     still_open = turns.open[-1]
     states = CongruentStates(
         manipulator=body,
