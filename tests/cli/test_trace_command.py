@@ -174,6 +174,7 @@ def test_tensions_before_displacements(cddf_command, two_tendons, monkeypatch, s
     ("path", "message"),
     [
         ("75", "--path needs a unit of force, got '75'; write for example '12.5 N'"),
+        ("75, -5 N", "--path 75, -5 N: a tendon cannot push; give 0 N or more"),
         ("75 N, much", "--path is not a number, got 'much'; write for example '12.5 N'"),
         ("none.csv", "none.csv: cannot be read (No such file or directory); check the path"),
         ("bad.csv", "bad.csv: row 3, column base_tension: must be 0 or more, got -2 N; correct or remove the row"),

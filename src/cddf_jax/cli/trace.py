@@ -122,7 +122,10 @@ def read_path(text: str, noise: str | None, columns: "Mapping[str, str]") -> "Pa
     if not text.strip().lower().endswith(TABLES):
         if noise is not None:
             raise InputError(f"--noise {noise}: is for a file only; leave it out, or give a file with --path")
-        return PathFile(*series(text, ("force", "length", "angle"), "--path"), (), set())
+        values, dimension = series(text, ("force", "length", "angle"), "--path")
+        if dimension == "force" and min(values) < 0:
+            raise InputError(f"--path {text}: a tendon cannot push; give 0 N or more")
+        return PathFile(values, dimension, (), set())
     found = read_path_file(text.strip(), columns)
     options.note(f"{text.strip()}: {line}" for line in found.read_as)
     if noise is None:
