@@ -134,7 +134,7 @@ def unsettled(setup: Setup) -> Settled:
         nodal=values,
         states=states,
         slopes=slopes,
-        residual=jnp.zeros(setup.num_targets + moments) + zero,
+        residual=jnp.zeros(setup.num_targets + moments, zero.dtype) + zero,
         crossing=~true,
         missed=zero,
         change=zero,

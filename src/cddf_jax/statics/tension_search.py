@@ -156,7 +156,7 @@ def _is_reached(aim: _Aim, best: _TensionTrial, slack: Flags) -> tuple[Bool[Arra
 def _aim_at(setup: Setup, wanted: "Wanted") -> _Aim:
     scale, frames = bending_tension(setup.manipulator), geometry_of(setup.manipulator).has_frames
     kinds = list(wanted.values())
-    least = jnp.zeros(len(wanted)) + setup.zero + zero_as(wanted)
+    least = jnp.zeros(len(wanted), scale.dtype) + setup.zero + zero_as(wanted)
     return _Aim(
         replace(setup, unknown=tuple(wanted), equations=Partial(_misses, setup, wanted), num_targets=len(wanted)),
         scale,
