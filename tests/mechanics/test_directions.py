@@ -78,6 +78,27 @@ def test_the_slope_holds_the_directions():
     np.testing.assert_allclose(np.ravel(here[1:]), np.repeat(ahead[0] - behind[0], 2) / (2 * h), rtol=1e-7)
 
 
+def test_a_tendon_without_tension_slides_as_it_travels():
+    """It winds, and the pulled one shortens its path. Its slope is that towards a small tension, by differences."""
+    winding, pulled = (cddf.Tendon(0.010, angle=angle) for angle in (cddf.Linear(0.0, 1.5, 0.14), 2.1))
+    body, step = paper_with(winding, pulled), jnp.array([1e-4, 0.0])
+
+    @jax.jit
+    def outcome(tension):
+        def tip(tension):
+            found = cddf.solve(body, tension, throw=False)
+            return found.tip_tension[0], found
+
+        (value, found), slope = jax.value_and_grad(tip, has_aux=True)(tension)
+        return value, slope[0], found.direction, found.tendon_displacement
+
+    value, slope, direction, travel = outcome(jnp.array([0.0, 12.0]))
+    assert value == 0
+    assert travel[0] > 0
+    np.testing.assert_array_equal(direction, (1, 1))
+    np.testing.assert_allclose(slope, outcome(jnp.array([0.0, 12.0]) + step)[0] / step[0], rtol=1e-5)
+
+
 def test_stated_directions_win():
     """Where a tendon travels against its direction, that is said and not raised."""
     both_in = cddf.solve(PAIR, (75.0, 20.0), direction=+1)

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import paper_body, two_slanted_tendons
+from bodies import paper_body, paper_with, two_slanted_tendons
 
 import cddf_jax as cddf
 
@@ -21,6 +21,7 @@ def assert_all_single(tree):
 
 
 LOADS = cddf.Loads((0.5, -4.0), -0.05, (1.0, -9.81))
+HELIX = paper_with(cddf.Tendon(0.010, angle=cddf.Linear(0.0, np.pi, 0.14)))  # half a turn
 
 
 @pytest.mark.parametrize(
@@ -28,10 +29,11 @@ LOADS = cddf.Loads((0.5, -4.0), -0.05, (1.0, -9.81))
     [
         (paper_body("published"), 75.0, +1, None),
         (paper_body("exact"), 75.0, +1, None),
+        (HELIX, 75.0, +1, None),
         pytest.param(two_slanted_tendons(), (75.0, 20.0), (+1, -1), None, marks=pytest.mark.slow),
         pytest.param(paper_body("exact", density=1070.0), 60.0, +1, LOADS, marks=pytest.mark.slow),
     ],
-    ids=["published", "exact", "slanted pair", "loads"],
+    ids=["published", "exact", "helix", "slanted pair", "loads"],
 )
 def test_numbers_in_single_precision_stay_there(body, tension, direction, loads):
     double = cddf.solve(body, tension, loads, direction=direction)
@@ -42,6 +44,14 @@ def test_numbers_in_single_precision_stay_there(body, tension, direction, loads)
     np.testing.assert_allclose(ours.tip_angle, double.tip_angle, atol=SINGLE)
     np.testing.assert_allclose(ours.tension, double.tension, rtol=SINGLE)
     assert ours.status == cddf.Status.successful
+
+
+def test_a_target_in_single_precision():
+    """The closed form of docs/theory.md (16), whose G(L) is printed there: T_base = (exp(mu phi(L)) - 1) E / (mu G)."""
+    wanted = (np.exp(0.42 * 1.0) - 1) * 1.4e6 / (0.42 * 2.942783188998e4)
+    found = cddf.solve(single(paper_body("exact")), single(cddf.TipAngle(1.0)))
+    assert_all_single(found)
+    np.testing.assert_allclose(found.base_tension, [wanted], rtol=SINGLE)
 
 
 def test_without_x64_everything_is_single():

@@ -295,7 +295,7 @@ def _missed(curve: Quartics) -> Float[Array, "q *k"]:
     The rest is integrated by Gauss points on either side of z.
     """
     nodes, weights = legendre.leggauss(POINTS_BETWEEN)
-    nodes, weights = (nodes + 1) / 2, weights / 2
+    nodes, weights = ((nodes + 1) / 2).tolist(), (weights / 2).tolist()  # of any precision, as Python numbers are
     z = _nearest(curve)
     value, rate = _value(curve, z[..., None]), _rate(curve, z[..., None])
     alpha, beta = dot(value, value), dot(rate, rate)

@@ -6,7 +6,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..mechanics.directions import travel_under_tension
 from ..mechanics.friction import PerTendon
 from ..mechanics.march import finished
 from ..mechanics.problem import (
@@ -96,5 +95,5 @@ def _without_loads(problem: Problem, found: Solution, path: LoadPath) -> Balance
     solution = finished(problem, found)
     converged = path.converged & solution.converged
     path = path._replace(converged=converged, resolved=converged)
-    travel = travel_under_tension(problem, solution.nodes.pull, tendon_displacement(problem, solution.nodes))
+    travel = tendon_displacement(problem, solution.nodes)
     return Balance(problem, solution, path, travel, jnp.ones_like(solution.residual))

@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..mechanics.directions import find_directions, travel_under_tension
+from ..mechanics.directions import find_directions
 from ..mechanics.friction import PerTendon
 from ..mechanics.march import FixedPoint, unbent
 from ..mechanics.problem import (
@@ -24,7 +24,6 @@ from ..mechanics.problem import (
     lay_out,
     loaded_to,
     nodal,
-    state_at_nodes,
 )
 from ..mechanics.tendon_displacement import tendon_displacement
 from ..numerics.arrays import varying_as, zero_as
@@ -134,7 +133,7 @@ def unsettled(setup: Setup) -> Settled:
         nodal=values,
         states=states,
         slopes=slopes,
-        residual=jnp.zeros(setup.num_targets + moments) + zero,
+        residual=jnp.zeros(setup.num_targets + moments, zero.dtype) + zero,
         crossing=~true,
         missed=zero,
         change=zero,
@@ -155,7 +154,6 @@ def _loaded(setup: Setup) -> Settled:
     found, num_iterations = polish(
         system, rough.roughly(end, system, setup.num_targets), rough.headings(end.slopes[:-1])
     )
-    pull = state_at_nodes(rough.problem, rough.nodal(end.values), end.strain).pull
     moment = found.unknowns[len(setup.unknown) :].reshape(path.base_moment.shape)
     arrived = path.converged
     path = path._replace(
@@ -167,7 +165,7 @@ def _loaded(setup: Setup) -> Settled:
     return Settled(
         direction=start.direction,
         load_path=path,
-        travel=travel_under_tension(rough.problem, pull, rough.travel_rate(end, path.fraction)),
+        travel=rough.travel_rate(end, path.fraction),
         nodal=jax.tree.map(settled, found.nodal, start.nodal),
         states=jax.tree.map(settled, found.states, start.states),
         slopes=found.slopes,
@@ -188,9 +186,8 @@ def _unloaded(setup: Setup) -> Settled:
         return start
     system = setup.system(start)
     _, residual, slopes, found = system.with_slopes(None, system.with_moment(start.load_path.base_moment), start.slopes)
-    pull = found.nodes.pull
     return start._replace(
-        travel=travel_under_tension(problem, pull, tendon_displacement(problem, found.nodes)),
+        travel=tendon_displacement(problem, found.nodes),
         load_path=start.load_path._replace(converged=found.converged),
         slopes=slopes,
         residual=residual,

@@ -10,7 +10,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from ..errors import SolveError
-from ..mechanics.directions import Directions, is_contradicted, not_stated
+from ..mechanics.directions import Directions, is_contradicted, not_stated, travel_under_tension
 from ..mechanics.fields import AnyFields, fields_at, planar_fields, tendons_first
 from ..mechanics.friction import Pull, unspent
 from ..mechanics.march import FixedPoint
@@ -183,7 +183,8 @@ def _outputs(balance: Balance, found: Found, physical: Bool[Array, ""]) -> Equil
     solved = physical & path.converged
     truncation = balance.error_amplification * truncation_error(*without_derivative((problem, solution)))
     round_off = 4 * float(jnp.finfo(truncation.dtype).eps)
-    contradicted = solved & is_contradicted(problem.direction, balance.travel, problem.elements.edges[-1])
+    travel = travel_under_tension(problem, solution.nodes.pull, balance.travel)
+    contradicted = solved & is_contradicted(problem.direction, travel, problem.elements.edges[-1])
     tensions, cut = (problem.base_tension, problem.direction), problem.elements
     dense = Dense(problem.manipulator, *tensions, cut.edges, cut.order, solution.states, solved)
     return Equilibrium(

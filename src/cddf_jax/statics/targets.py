@@ -199,13 +199,13 @@ def _across(heading: Array) -> Float[Array, " components"]:
     if heading.ndim == 0:
         return jnp.stack([-jnp.sin(heading), jnp.cos(heading)])
     axes = as_matrix(heading).T
-    leaning = axes[0] * axes[0, 0] - jnp.eye(3)[0]
+    leaning = axes[0] * axes[0, 0] - jnp.eye(3, dtype=axes.dtype)[0]
     return jnp.where(length_of(leaning) > tol.PARALLEL, direction_of(leaning), axes[1])
 
 
 def bending_tension(body: Manipulator) -> Number:
     """The least E J / d^2 along the tendons, N: the scale of tensions at which d kappa comes near 1."""
-    arc_length = jnp.linspace(0.0, 1.0, 17) * jnp.asarray(body.length)
+    arc_length = jnp.linspace(0.0, jnp.asarray(body.length), 17)
     section = jax.vmap(body.cross_section_in_space if body.in_space else body.cross_section)(arc_length)
     offset = jnp.maximum(section.offset, 1e-3 * jnp.asarray(body.length))
     return jnp.min(where_present(section, geometry_of(body).bending_stiffness(section)[:, None] / offset**2, jnp.inf))

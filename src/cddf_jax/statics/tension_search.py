@@ -156,7 +156,7 @@ def _is_reached(aim: _Aim, best: _TensionTrial, slack: Flags) -> tuple[Bool[Arra
 def _aim_at(setup: Setup, wanted: "Wanted") -> _Aim:
     scale, frames = bending_tension(setup.manipulator), geometry_of(setup.manipulator).has_frames
     kinds = list(wanted.values())
-    least = jnp.zeros(len(wanted)) + setup.zero + zero_as(wanted)
+    least = jnp.zeros(len(wanted), scale.dtype) + setup.zero + zero_as(wanted)
     return _Aim(
         replace(setup, unknown=tuple(wanted), equations=Partial(_misses, setup, wanted), num_targets=len(wanted)),
         scale,
@@ -391,7 +391,8 @@ def _num_against(setup: Setup, trial: _TensionTrial) -> Number:
     travel, length = trial.settled.travel, jnp.asarray(setup.manipulator.length)
     if not setup.to_find or travel is None:
         return zero_as(trial.tension)
-    return jnp.sum(jnp.where(is_contradicted(trial.settled.direction, travel, length), 1.0, 0.0))
+    against = is_contradicted(trial.settled.direction, travel, length) & (trial.tension > 0)
+    return jnp.sum(jnp.where(against, 1.0, 0.0))
 
 
 def _better(setup: Setup, found: _TensionTrial, best: _TensionTrial) -> tuple[_TensionTrial, Bool[Array, ""]]:
