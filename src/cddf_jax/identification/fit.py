@@ -366,11 +366,13 @@ def _conclude(
         "status": dict.fromkeys(fixed, FIXED),
     }
     found = vars(statistics)
+    kinds = "combinations", "sums"
+    together: dict[str, Any] = {kind: {n: e for n, e in found[kind].items() if TRIALS not in n} for kind in kinds}
     trials = [f"{name}: {label}" for name, table in zip(model.names, tables, strict=True) for label in trials_of(table)]
     rows = {n: row for n, row in zip(statistics.names, np.eye(len(statistics.names)), strict=True) if n not in own}
     effects = [estimate(statistics.value[n], widened.uncertainty(row[None])) for n, row in rows.items()]
     return Fit(
-        **found | {field: {n: found[field][n] for n in own} | more for field, more in of_fixed.items()},
+        **found | together | {field: {n: found[field][n] for n in own} | more for field, more in of_fixed.items()},
         manipulator=with_parameters(body, {**options["setting"].given, **statistics.parameters}),
         tables=tables,
         model=model,
