@@ -88,6 +88,16 @@ def test_estimated_errors_of_inputs_have_the_largest_restricted_likelihood():
     np.testing.assert_allclose([*found.noise.values(), found.input_noise["x"]], expected, rtol=1e-3)
 
 
+def test_scatter_that_errors_of_inputs_explain_is_not_met_exactly():
+    """`one` scatters by a twentieth of what the given errors of inputs make: no noise besides, and it is not met."""
+    data = draw() | {"one": TRUTH["a"] * X + 0.001 * np.cos(50 * X)}
+    found = least_squares_fit(model, TRUTH, data, inputs=inputs(INPUT))
+    assert found.noise["one"] < 1e-6
+    assert 0.0005 < np.std(found.residuals["one"]) < 0.0015
+    said = "one scatters as errors of what was set make it, its own noise is estimated as 0; give it"
+    assert [remark for remark in found.remarks if remark.startswith("one ")] == [said]
+
+
 def test_inputs_without_errors_change_nothing():
     """With 1e-9 of noise, and where none is seen in data that have none."""
     data = draw(seed=2, size=0.0)

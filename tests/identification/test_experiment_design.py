@@ -140,11 +140,13 @@ def test_a_prior_counts():
     assert told.standard_error["youngs_modulus"] / E == pytest.approx(expected, rel=1e-6)
 
 
-def test_a_candidate_beyond_the_model_has_a_warning():
+def test_a_candidate_beyond_the_model_has_a_warning_and_adds_nothing():
     """At 4000 N the exact body is bent beyond d kappa = 1 at its base, where T d^2 > E J."""
     beyond = Candidate("far", {"base_tension": [40.0, 4000.0]}, {"tip_angle": 0.01})
     plan = cddf.plan(paper_body("exact"), [beyond], num=1)
     assert plan.ranking[0].warnings[0].startswith("1 of 2 rows")
+    alone = cddf.plan(paper_body("exact"), [Candidate("near", {"base_tension": 40.0}, {"tip_angle": 0.01})], num=1)
+    assert plan.ranking[0].gain == pytest.approx(alone.ranking[0].gain, rel=1e-12)  # the row without a solution adds 0
 
 
 @pytest.mark.parametrize(

@@ -342,6 +342,9 @@ def test_rows_whose_fibres_cross_are_reported():
     assert fit.combinations[RATIO].value == pytest.approx(MU / E, rel=1e-6)
     (warning,) = [warning for warning in fit.warnings if "reaches 1" in warning]
     assert warning.startswith("2 of 17 rows, rows 16, 17 of bench: ")
+    prediction = fit.predict("tip_tension", [1700.0, 1800.0])  # the modulus stays near its start, and no number there
+    assert prediction.status.tolist() == [cddf.Status.successful, cddf.Status.crossing]
+    assert np.isfinite([prediction.value, prediction.half_width]).tolist() == [[True, False]] * 2
 
 
 def test_what_most_rows_contradict_is_not_identified(tip_angle):

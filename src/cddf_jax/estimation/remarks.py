@@ -44,15 +44,19 @@ def remarks_on_parameters(evidence: Evidence, place: Place) -> list[str]:
 def remarks_on_residuals(evidence: Evidence, minimum: Minimum, place: Place) -> list[str]:
     """Remarks on groups that are met exactly or hardly explained, and outliers."""
     problem, outcome = minimum
-    found, residuals, spectrum = [], problem.by_group(outcome.residual), evidence.spectrum
+    found, spectrum = [], evidence.spectrum
+    residuals, raw = (problem.by_group(rows) for rows in (outcome.residual, problem.unwhitened(outcome.residual)))
     unexplained = unexplained_groups(evidence, minimum)
     for i, (name, rows) in enumerate(evidence.rows.items()):
         residual, values, noise = residuals[i], np.ravel(problem.data.values[i]), np.ravel(problem.data.noise[i])
         estimated = evidence.noise_estimated[name]
         far = _far_off(residual, spectrum.leverage(rows), estimated)
         if estimated and np.max(noise) <= EXACT * np.max(np.abs(values), initial=0.0):
+            exact = np.max(np.abs(raw[i] * noise)) <= EXACT * np.max(np.abs(values))
             found.append(
                 f"{name} is met exactly, its noise cannot be estimated: standard errors mean nothing; give the noise"
+                if exact
+                else f"{name} scatters as errors of what was set make it, its own noise is estimated as 0; give it"
             )
             continue
         if name in unexplained:

@@ -117,10 +117,14 @@ def _settle_noise(task: FitTask, z: np.ndarray) -> tuple[Minimum, bool]:
     for _ in range(NOISE_ROUNDS):
         noise = problem.data.noise
         improved, shared = estimate_noise(task.groups, found, task.inputs)
-        same = _alike(problem.shared, shared)
-        if same and all(map(np.array_equal, noise, improved)):  # it was known
+        before, after = (np.concatenate([np.ravel(own) for own in every]) for every in (noise, improved))
+        same = _alike(problem.shared, shared, after / before)
+        if same and np.array_equal(before, after):  # it was known
             return found, True
-        near = all(np.allclose(a, b, rtol=close, atol=0) for a, b in zip(noise, improved, strict=True))
+        # far below the errors of inputs, noise may go to 0 ever more slowly, and hardly counts
+        errors = problem.by_group(problem.unwhitened(found.outcome.residual)) if np.any(shared.basis) else []
+        scatter = [np.full(np.size(a), np.std(e * np.ravel(a))) for e, a in zip(errors, noise, strict=bool(errors))]
+        near = np.allclose(before, after, rtol=close, atol=close * np.concatenate(scatter) if scatter else 0.0)
         problem = replace(problem, data=problem.data._replace(noise=improved), shared=shared)
         found = Minimum(problem, minimise(problem, found.outcome.z))
         returned = any(map(found.is_near, ends)) and found.is_near(ends[-1], 1.0)
@@ -131,11 +135,12 @@ def _settle_noise(task: FitTask, z: np.ndarray) -> tuple[Minimum, bool]:
     return found, settled
 
 
-def _alike(one: Shared, other: Shared) -> bool:
-    """Whether the errors of inputs have the same effect."""
+def _alike(one: Shared, other: Shared, noise: np.ndarray) -> bool:
+    """Whether the errors of inputs have the same effect; `noise` of the data is that of the other over the first."""
     own = [np.concatenate([*columns.values()], axis=1) for columns in (one.columns, other.columns) if columns]
     if len(own) == 2:
-        return bool(np.allclose(*own, rtol=0, atol=1e-4 * max(1.0, float(np.max(np.abs(own[0]), initial=0.0)))))
+        same = own[0], own[1] * noise[:, None]
+        return bool(np.allclose(*same, rtol=0, atol=1e-4 * max(1.0, float(np.max(np.abs(own[0]), initial=0.0)))))
     return not own or not np.any(own[0])
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..estimation.determination import Determination, determine
-from ..estimation.evidence import Evidence
+from ..estimation.evidence import Evidence, without_nan
 from ..estimation.parameter_space import Priors, parameter_space, priors_of
 from ..estimation.residuals import Shared
 from ..measurements.readings import of_tendons
@@ -30,6 +30,7 @@ from .parameters import (
     parameter_named,
     starting_value,
 )
+from .verdict import OUTSIDE
 
 BEFOREHAND = 100.0  # relative standard error before any data, for designs that leave a parameter undetermined
 
@@ -210,8 +211,9 @@ def _rows(
     count = len(shown.status)
     ended = [(int(np.sum(np.asarray(shown.status) == status)), status) for status in NOTEWORTHY]
     warnings = [f"{some} of {count} rows: {words_of(status)}" for some, status in ended if some]
-    rows = np.concatenate([shown.derivatives[name] * size / candidate.noise[name] for name in experiment.columns])
-    return np.where(np.isfinite(rows), rows, 0.0), tuple(warnings)
+    solved = ~np.isin(shown.status, OUTSIDE)[:, None]
+    rows = [solved * shown.derivatives[name] * size / candidate.noise[name] for name in experiment.columns]
+    return without_nan(np.concatenate(rows)), tuple(warnings)
 
 
 def standard_candidates(

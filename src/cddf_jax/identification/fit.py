@@ -130,21 +130,30 @@ class Fit(LeastSquaresFit):
                 {"displacement": [0.004, 0.011]} as the encoders read, with "time" where the fit knows a lag; numbers,
                 or lists of one length. A further tendon that is not named has no tension.
             history: whether the rows are a path from rest, pulled and released in this order; every turn counts. Else
-                each row is an equilibrium of its own, with the directions that `solve` finds. By displacement, and
-                where friction acts along a history only, it is pulled from rest, and its forces grow with it.
+                each row is an equilibrium of its own, with the directions that `solve` finds. By displacement, where
+                friction acts along a history only, where no direction of a row agrees with its travel, and of a fit
+                that followed its rows so, each row is pulled from rest, and its forces grow with it.
+
+        Returns:
+            NaN for the value and the band of a row for which the model has no solution; its `status` says why.
 
         Raises:
             InputError: for another column, conditions of other shapes, or a path that `fit` could not follow.
         """
         table = rows_to_predict(conditions, self.manipulator.num_tendons, column)
-        given = self.manipulator, self.whole_setting, self.names, history, self.options["short_steps"]
-        wanted = unread_rows(table, *given)
-        assert isinstance(wanted, bench.Bench)
-        shown = wanted.evaluate(self.model.manipulator, self.parameters, self.model.nodes)
+        given = table, self.manipulator, self.whole_setting, self.names
+        for way in (history or (self.options["history"] == EACH and EACH), EACH):
+            wanted = unread_rows(*given, way, self.options["short_steps"])
+            assert isinstance(wanted, bench.Bench)
+            shown = wanted.evaluate(self.model.manipulator, self.parameters, self.model.nodes)
+            if not np.any(verdict.against(wanted, shown)):
+                break
         if column not in shown.readings:
             raise InputError(f"predict: {column!r} is not a reading; there are {', '.join(shown.readings)}")
-        band = self.band(shown.derivatives[column])
-        return Prediction(shown.readings[column], band, beyond_the_data(table, self.tables))
+        band, status = self.band(shown.derivatives[column]), np.asarray(shown.status)
+        solved = ~np.isin(status, verdict.OUTSIDE)
+        value, half_width = (np.where(solved, own, np.nan) for own in (shown.readings[column], band))
+        return Prediction(value, half_width, beyond_the_data(table, self.tables), status)
 
     @property
     def whole_setting(self) -> BenchSetting:
@@ -357,11 +366,13 @@ def _conclude(
         "status": dict.fromkeys(fixed, FIXED),
     }
     found = vars(statistics)
+    kinds = "combinations", "sums"
+    together: dict[str, Any] = {kind: {n: e for n, e in found[kind].items() if TRIALS not in n} for kind in kinds}
     trials = [f"{name}: {label}" for name, table in zip(model.names, tables, strict=True) for label in trials_of(table)]
     rows = {n: row for n, row in zip(statistics.names, np.eye(len(statistics.names)), strict=True) if n not in own}
     effects = [estimate(statistics.value[n], widened.uncertainty(row[None])) for n, row in rows.items()]
     return Fit(
-        **found | {field: {n: found[field][n] for n in own} | more for field, more in of_fixed.items()},
+        **found | together | {field: {n: found[field][n] for n in own} | more for field, more in of_fixed.items()},
         manipulator=with_parameters(body, {**options["setting"].given, **statistics.parameters}),
         tables=tables,
         model=model,

@@ -28,9 +28,10 @@ SPANNED = 1e-9  # of the largest tension or force: rows as close to the range of
 class Prediction(NamedTuple):
     """The fitted model at some base tensions."""
 
-    value: np.ndarray
+    value: np.ndarray  # NaN where the model has no solution
     half_width: np.ndarray  # of the 95 % band, from the uncertainty of the parameters
     extrapolated: np.ndarray  # True beyond the base tensions, displacements or forces of the data
+    status: np.ndarray  # how the solve of each row ended, of `Status`
 
 
 def rows_to_predict(conditions: Numbers | Conditions, num_tendons: int, column: str) -> Measurements:

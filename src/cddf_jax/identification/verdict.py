@@ -20,8 +20,8 @@ from ..quantities import dimension_of
 from ..robot.manipulator import Manipulator
 from ..statics.status import NOTEWORTHY, Status, words_of
 from ..units import preferred, shown
-from .bench import BenchModel, Group, benches_of
-from .course import is_driven_by_length
+from .bench import Bench, BenchModel, Evaluation, Group, benches_of
+from .course import Shown, is_driven_by_length
 from .parameters import TRIALS, Parameters, parameter_named, unit_of
 from .random_effects import many_levels
 from .tension_before import is_past
@@ -58,11 +58,15 @@ def solve_results(
         errors = any(label.startswith(f"{name}: ") for label in inputs)  # then the search has compiled `evaluate`
         solved = experiment.evaluate if errors or experiment.course is None else experiment.solved
         shown = solved(model.manipulator, parameters, model.nodes)
-        found = [way is None for way in experiment.direction]  # a direction that the table states is not doubted
-        against = np.any(np.asarray(shown.direction_contradicted)[:, found], axis=1)
-        contradicted = np.asarray(shown.status) == Status.direction_contradicted
         read = np.any([table.has(column) for column in table.columns if is_reading(column, table.columns)], axis=0)
-        yield SolveResults(name, table, shown.status, contradicted & against & read, read)
+        yield SolveResults(name, table, shown.status, against(experiment, shown) & read, read)
+
+
+def against(experiment: Bench, shown: Shown | Evaluation) -> np.ndarray:
+    """(rows,), whether a tendon travels against the direction that was found for it; a stated one is not doubted."""
+    found = [way is None for way in experiment.direction]
+    contradicted = np.asarray(shown.status) == Status.direction_contradicted
+    return contradicted & np.any(np.asarray(shown.direction_contradicted)[:, found], axis=1)
 
 
 def doubt(ends: Sequence[SolveResults]) -> str:
