@@ -93,7 +93,7 @@ def test_a_fit_with_weights_on_the_body():
     start = dataclasses.replace(body, friction_coefficient=0.38)
     fitted = cddf.fit(start, table, ["friction_coefficient"], noise={"tip_tension": 0.1, "tip_angle": 1e-3})
     assert fitted.value["friction_coefficient"] == pytest.approx(float(body.friction_coefficient), rel=1e-6)
-    value, _, beyond = fitted.predict("tip_angle", {"base_tension": 50.0, "force_y@60mm": [-0.7, -1.2]})
+    value, _, beyond, _ = fitted.predict("tip_angle", {"base_tension": 50.0, "force_y@60mm": [-0.7, -1.2]})
     expected = [float(hung(50.0, weight).tip_angle) for weight in (-0.7, -1.2)]
     np.testing.assert_allclose(value, expected, rtol=1e-6)
     assert beyond.tolist() == [False, True]  # -1.2 N hung on no row
