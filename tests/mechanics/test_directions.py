@@ -78,6 +78,7 @@ def test_the_slope_holds_the_directions():
     np.testing.assert_allclose(np.ravel(here[1:]), np.repeat(ahead[0] - behind[0], 2) / (2 * h), rtol=1e-7)
 
 
+@pytest.mark.slow
 def test_a_tendon_without_tension_slides_as_it_travels():
     """It winds, and the pulled one shortens its path. Its slope is that towards a small tension, by differences."""
     winding, pulled = (cddf.Tendon(0.010, angle=angle) for angle in (cddf.Linear(0.0, 1.5, 0.14), 2.1))

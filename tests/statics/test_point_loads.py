@@ -132,6 +132,7 @@ def test_what_is_refused(make, message):
     assert message in refused(make, error=(TypeError, ValueError))
 
 
+@pytest.mark.slow
 def test_joints_at_one_place_turn_a_tendon_once():
     """A tendon without tension, a joint where nothing changes and a load of nothing at a knot change nothing."""
     body: dict[str, Any] = {"length": LENGTH, "outer_radius": OUTER, "youngs_modulus": E, "friction_coefficient": MU}

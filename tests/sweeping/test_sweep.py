@@ -177,6 +177,7 @@ def test_loops_of_several_tendons_and_under_loads_are_traces():
     )
 
 
+@pytest.mark.slow
 def test_loads_that_are_not_on_a_path_act_before_its_first_step():
     """Before it nothing rubs inside the body: it bends by the moment times L / (E J). Later its friction would hold."""
     stiffness, moment = 1.4e6 * np.pi / 4 * (0.01**4 - 0.004**4), 0.006
