@@ -24,7 +24,6 @@ from refusals import refused
 from sweep_child import axes
 
 import cddf_jax as cddf
-from cddf_jax.batch.work import Layout, count, even_chunks
 from cddf_jax.sweeping.axes import dimensions_of
 from cddf_jax.sweeping.sweep import Sweep
 
@@ -99,29 +98,6 @@ def test_coordinates_of_samples_are_coordinates_in_the_store(tmp_path):
     stored = cddf.sweep(paper_body(), {"sample": samples}, out=tmp_path / "s.zarr", **OPTIONS)
     assert set(stored.coords) == set(kept.coords)
     same(stored, kept)
-
-
-@pytest.mark.parametrize(
-    ("sizes", "most", "expected"),
-    [
-        ([10], 4, (4,)),  # 4, 4, 2: three pieces of at most 4
-        ([9], 4, (3,)),  # 3, 3, 3 rather than 4, 4, 1
-        ([6, 5], 10, (2, 5)),
-        ([6, 50], 10, (1, 10)),
-        ([3, 2], 1000, (3, 2)),
-    ],
-)
-def test_even_chunks(sizes, most, expected):
-    assert even_chunks(sizes, most) == expected
-
-
-def test_regions_tile_the_answer():
-    times = xarray.DataArray(np.zeros((7, 5), int), dims=("a", "b"))
-    layout = Layout(xarray.Dataset({"x": times}), {"a": 3, "b": 2})
-    for region in layout.regions():
-        times[region] += 1
-        assert times[region].size == count(region)
-    assert np.all(times == 1)
 
 
 # --- devices and processes --------------------------------------------------------------------------

@@ -45,10 +45,6 @@ def page(opened):
 CONTROLS = [control.name for control in Exploration(paper_body("exact")).controls]
 
 
-def slider(page, name):
-    return page.get_by_role("slider").nth(CONTROLS.index(name))
-
-
 def type_number(page, name, text):
     type_at(page, CONTROLS.index(name), text)
 
@@ -74,59 +70,6 @@ def test_every_field_has_a_name_for_screen_readers(page):
         label = f"{control.label} ({control.quantity.shown[1]})".removesuffix(" ()")
         field = page.get_by_role("textbox", name=label, exact=True)
         assert float(field.input_value()) == pytest.approx(control.value)
-
-
-def test_a_move_draws_without_laying_out_the_page(page):
-    """Laying out measures every part of the page again, and takes longer than all else."""
-    type_number(page, "base_tension_1", "60")  # each text is shown once before: Panel then sends its style sheets
-    assert follows(page, 60.0)
-    page.locator(COMPUTING).first.wait_for(state="detached")
-    page.evaluate("""() => {
-        window.layouts = 0
-        for (const root of Bokeh.index.roots) {
-            const lay_out = root.invalidate_layout
-            root.invalidate_layout = function() { window.layouts += 1; return lay_out.call(this) }
-        }
-    }""")
-    type_number(page, "base_tension_1", "62")
-    assert follows(page, 62.0)
-    page.locator(COMPUTING).first.wait_for(state="detached")
-    assert page.evaluate("window.layouts") == 0
-
-
-def test_keys_move_a_slider(page):
-    """By Tab alone to the first handle; its steps are of 0.5 N."""
-    page.locator("h1").click()
-    for _ in range(20):
-        page.keyboard.press("Tab")
-        if slider(page, "base_tension_1").evaluate("handle => handle.matches(':focus')"):
-            break
-    page.keyboard.press("ArrowRight")
-    page.keyboard.press("ArrowRight")
-    wait_for(page, "base_tension_1", "76")
-    assert follows(page, 76.0)
-
-
-def test_a_slider_is_dragged(page):
-    from playwright.sync_api import expect
-
-    handle = slider(page, "friction_coefficient")
-    box = handle.bounding_box()
-    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-    page.mouse.move(x, y)
-    page.mouse.down()
-    page.mouse.move(x - 60, y, steps=20)
-    page.mouse.up()
-    index = CONTROLS.index("friction_coefficient")
-    # the field lags behind the handle; where that was let go stands in the page's model of it
-    left = page.evaluate(
-        """index => [...Bokeh.documents[0]._all_models.values()]
-        .filter(model => model.type.endsWith('Slider'))[index].value""",
-        index,
-    )
-    assert left < 0.35
-    assert follows(page, 75.0, friction_coefficient=left)
-    expect(page.locator(".slider-edit input").nth(index)).to_have_value(f"{left:.10g}", timeout=PATIENCE)
 
 
 def test_the_way_back_is_remembered_and_forgotten(page):

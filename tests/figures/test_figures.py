@@ -119,11 +119,6 @@ def test_lines_along_the_body(bent, quantity):
         np.testing.assert_allclose(np.interp(1e3 * s, *xy_of(line)), values, rtol=1e-9, atol=1e-12)
 
 
-def test_a_style_of_ones_own(bent):
-    (line,) = figures.draw_along(PAIR, bent, "curvature", color="red", label="mine").lines
-    assert (line.get_color(), line.get_label()) == ("red", "mine")
-
-
 def test_arrows_are_the_forces(bent):
     axes = figures.draw_force_arrows(PAIR, bent, Figure().subplots())
     normal, friction = (artist for artist in axes.collections if isinstance(artist, Quiver))
@@ -169,9 +164,6 @@ def test_the_residuals_stand_below_the_data(fit):
     (table,) = fit.tables
     predicted = np.exp(fit.value["friction_coefficient"] * table["wrap_angle"])
     np.testing.assert_allclose(y_of(dots), table["pulling_tension"] / table["weight"] - predicted, atol=1e-9)
-
-
-# --- sweeps --------------------------------------------------------------------------------------
 
 
 # --- what cannot be drawn ------------------------------------------------------------------------
