@@ -88,7 +88,7 @@ BaseTension = Annotated[
 ]
 Output = Annotated[
     list[str],
-    typer.Option(help="Names of outputs, with commas or repeated; also base_tension, tension_loss, curvature, ..."),
+    typer.Option(help="Names of outputs, with commas or repeated; without --history also tension_loss, curvature, ..."),
 ]
 Out = Annotated[
     Path | None,

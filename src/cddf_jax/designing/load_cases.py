@@ -88,7 +88,7 @@ def uncertain_cases(case: LoadCase, fit: "Fit", num: int = 16) -> tuple[LoadCase
 
     Args:
         case: how the body is used.
-        fit: its parameters that are numbers of the body must each be identified.
+        fit: its parameters that are numbers of the body must each be identified, or have a prior.
         num: how many bodies, a power of 2.
 
     Raises:

@@ -33,7 +33,7 @@ MOST_SHOWN = 1.9**2  # times the rise at the ends of the interval: up to there a
 
 
 def draw_fit(fit: Fit, table: str | None = None, column: str | None = None, axes: Axes | None = None) -> Axes:
-    """The readings of a column over base tension, N, and the fitted model with its 95 % band.
+    """The readings of a column over base tension, N, or displacement, and the fitted model with its 95 % band.
 
     A pulley test is drawn as pulling tension per weight over wrap angle, deg, so that one curve holds for every weight.
     Rows with a history are drawn with the model along their path, trial by trial: solid when pulled, dashed when

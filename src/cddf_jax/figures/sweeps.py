@@ -40,8 +40,8 @@ MARKED = 30  # values up to which a line has a marker at each
 def draw_lines(dataset: "xarray.Dataset", output: str, over: str, axes: Axes | None = None) -> Axes:
     """An output of a sweep over one number, in mm, deg, MPa and else SI units.
 
-    There is a line for each combination of what else varies, at most six: values of another axis, kinematics,
-    tendons, components. The line consists of successful solves. Doubtful solves are hollow markers, and failed solves
+    There is a line for each combination of what else varies, at most six: values of other axes, tendons,
+    components. The line consists of successful solves. Doubtful solves are hollow markers, and failed solves
     are crosses at the lower edge; the legend says why. A path of base tensions (`history=True`) is a loop with arrows.
 
     Args:

@@ -63,10 +63,11 @@ def trace(
             `slack`, which is not an error; its displacement is that at which the tendon became slack. Where another
             target asks a tendon to push, the status is `unreachable`; so it is for one tendon in space whose tip angle
             does not grow while it is pulled.
-        loads: `Loads`. Each of tip_force, tip_moment and gravity either acts already before the first step and stays,
-            or has a leading axis of steps, one load after each step; then it starts from zero. So gravity can rest on
-            the body while a force changes. A list of `Loads`, one for each step, starts from no loads. None for no
-            loads. After `start` they continue from the loads of that history; None then keeps those loads.
+        loads: `Loads`. Each of tip_force, tip_moment, gravity and those of points either acts already before the first
+            step and stays, or has a leading axis of steps, one load after each step; then it starts from zero. So
+            gravity can rest on the body while a force changes. A list of `Loads`, one for each step, starts from no
+            loads. None for no loads. After `start` they continue from the loads of that history; None then keeps those
+            loads.
         before: the largest base tension, N, that the tendon had before it was released to the first step; "rest" for
             tendons that never had a tension. For several tendons, (tendons,), and under loads, it is a step before the
             first, to which all tensions rise linearly from rest; loads that change along the path come after it.

@@ -135,7 +135,8 @@ class Fit(LeastSquaresFit):
                 that followed its rows so, each row is pulled from rest, and its forces grow with it.
 
         Returns:
-            NaN for the value and the band of a row for which the model has no solution; its `status` says why.
+            `value`, `half_width` (95 %), `extrapolated` and `status` (a code of `Status`), one for each row. Value and
+            band are NaN where the model has no solution.
 
         Raises:
             InputError: for another column, conditions of other shapes, or a path that `fit` could not follow.
@@ -212,10 +213,10 @@ def fit(
     """Fit parameters of a manipulator and its bench to one or several tables at once.
 
     A table with `weight`, `pulling_tension` and `wrap_angle` is a pulley test and determines friction alone.
-    Any other has `base_tension` (and `base_tension_2`, ... for further tendons) or `displacement`, in each row one of
-    them, and one or more of `tip_tension`, `tip_tension_2`, ..., `tip_angle`, `tip_x`, `tip_y`, `tip_axis_x`, ..., of
-    a body in space `tip_z` and `tip_axis_z`, and markers (`x@120mm`); `direction`, `tip_force_x` and the others,
-    `force_x@60mm`, `trial`, `step` and `time` are optional.
+    Any other has `base_tension` (and `base_tension_2`, ... for further tendons) or `displacement`, in each row at least
+    one of them (with both, the displacement is a reading), and one or more of `tip_tension`, `tip_tension_2`, ...,
+    `tip_angle`, `tip_x`, `tip_y`, `tip_axis_x`, ..., of a body in space `tip_z` and `tip_axis_z`, and markers
+    (`x@120mm`); `direction`, `tip_force_x` and the others, `force_x@60mm`, `trial`, `step` and `time` are optional.
 
     With a history, the rows of a trial are steps of a path: pulled, released and pulled again. The path starts from
     rest, or from `before`. Directions follow from the path; a column `direction` is only compared with it. Without a
@@ -247,7 +248,7 @@ def fit(
         before: with a history of one tendon, the tension before the first row: "rest", or the largest base tension, N,
             from which it was released to the first row, as the base cell reads it. One for all trials, or a list with
             one for each, in the order of the tables and of their trials. For a free parameter `before` it is the start
-            of the search. A trial of several tendons begins with a row of the tensions before it.
+            of the search. For several tendons, write the tensions before a trial as its first row.
         short_steps: into how many increments each step of a history is divided with several tendons or loads, 2 or
             more; the report states the error that they leave.
         leave_out: rows whose readings do not count, by their numbers in the file: [8, 14] or "8, 14, 20-23", and of

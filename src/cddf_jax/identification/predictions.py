@@ -26,7 +26,7 @@ SPANNED = 1e-9  # of the largest tension or force: rows as close to the range of
 
 
 class Prediction(NamedTuple):
-    """The fitted model at some base tensions."""
+    """The fitted model in some rows."""
 
     value: np.ndarray  # NaN where the model has no solution
     half_width: np.ndarray  # of the 95 % band, from the uncertainty of the parameters

@@ -74,7 +74,7 @@ class Tendon(eqx.Module):
         outside_compliance: how far the tendon gives way between body and actuator, m/N, with all that it pulls on; None
             for free_length / axial_stiffness.
         outside_friction: mu times the angle by which a sheath or pulleys wrap the tendon between body and the part that
-            gives way, -. Its tension falls there by exp(outside_friction). None for none.
+            gives way, -. On a pull the body gets the tension of the motor times exp(-outside_friction). None for none.
         outside_drag: the friction force there that does not depend on the tension, N. None for none.
         drag: its own w, N/m; None for the manipulator's.
         angle: around the axis, profile or number, rad, from y to z of the cross-section: a helix is `Linear`. None for
@@ -130,7 +130,7 @@ class Manipulator(eqx.Module):
         youngs_modulus: E, Pa, a number, or a profile where it varies along the body.
         friction_coefficient: mu between tendon and body, for every tendon without its own.
         density: rho, kg/m^3, of the material between the radii; it matters under gravity only.
-        kinematics: "exact" follows the tendon itself, "published" takes the paper as written; see `mechanics`.
+        kinematics: "exact" follows the tendon itself, "published" takes the paper as written.
         drag: w >= 0, N/m, friction per length of the neutral axis without tension and curvature, such as that of a
             sheath that squeezes the tendon: T' = -direction (mu |psi'| T + w). For every tendon without its own; None
             for none. Where drag has used up its tension, a tendon is slack, T = 0.

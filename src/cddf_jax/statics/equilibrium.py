@@ -28,8 +28,9 @@ FRACTIONS = np.linspace(0.0, 1.0, 129)  # of every element, at which the strain 
 class Equilibrium(eqx.Module):
     """A manipulator in static equilibrium.
 
-    Where no equilibrium was found, the numbers are NaN and `status` says why. `status` also says when numbers may be
-    wrong (`crossing`, `inaccurate`, `direction_contradicted`).
+    Where no equilibrium was found, the numbers are NaN and `status` says why. `status` also says when numbers are
+    doubtful (`crossing`, `inaccurate`, `unstable`, `direction_contradicted`), or those of the nearest tensions
+    (`slack`, `unreachable`, `undetermined`).
 
     Every attribute of `Fields`, or of `SpatialFields` where the body is in space, is an attribute here as well, at the
     base, the Gauss nodes and the tip.

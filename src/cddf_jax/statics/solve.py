@@ -71,7 +71,7 @@ def solve(
         base_tension: T_base >= 0, N, a number for all tendons or one per tendon. A target may take the place of a
             number; the tension is then found: `Displacement`, `TipAngle`, `TipTension`, `CurvatureAt`, `TotalTension`,
             `TipStiffness`; as many targets as unknown tensions. A `TipPosition` takes the place of all base tensions.
-        loads: dead loads on the tip and gravity; None for none.
+        loads: dead loads on the tip and at points, and gravity; None for none.
         direction: +1 for a tendon that slides in at the base (pulled, as in the paper), -1 for one that
             slides out; a number, or one per tendon. None, for all tendons or for one, means the direction of its
             travel: of the length pulled in since the straight body, under loads of its rate while all tensions rise
