@@ -70,14 +70,6 @@ def test_one_after_the_other(at, lines):
     assert lines[1] == "10 s: profile 3 of 5, 0:00:15 left\n"
 
 
-def test_lines_come_ever_more_rarely(at, lines):
-    """By a quarter of the time so far: four lines in 8 s, and 27 more in an hour, as 8 s * 1.25^27 is one."""
-    with stage("solving", 10_000) as now:
-        for now.done in range(3601):
-            at(float(now.done))
-    assert 28 <= len(lines) <= 32
-
-
 def test_progress_goes_to_standard_error():
     """In a process of its own, which has no patience; without asking there is no word."""
     program = (

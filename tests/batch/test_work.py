@@ -24,8 +24,6 @@ from refusals import refused
 from sweep_child import axes
 
 import cddf_jax as cddf
-from cddf_jax.sweeping.axes import dimensions_of
-from cddf_jax.sweeping.sweep import Sweep
 
 xarray = pytest.importorskip("xarray")
 zarr = pytest.importorskip("zarr")
@@ -274,16 +272,6 @@ def test_a_package_that_is_missing_is_named(monkeypatch):
 
 
 # --- memory -----------------------------------------------------------------------------------------
-
-
-def test_memory_bounds_chunks_and_what_is_kept_in_memory(tmp_path, monkeypatch):
-    """34 bytes a solve, three copies of a chunk, a quarter of the memory; test_memory_is_bounded_for_any_size
-    measures a real process."""
-    monkeypatch.setattr(Sweep, "free", 4 * 102.0 * 60)
-    work = Sweep(manipulator=paper_body(), dimensions=dimensions_of(axes(SOLVES)), **OPTIONS)
-    assert 30 <= work.layout.chunk_size <= 60
-    monkeypatch.setattr(Sweep, "free", 4 * 102.0)
-    assert "MB are free; give out=" in refused(cddf.sweep, paper_body(), axes(SOLVES), **OPTIONS)
 
 
 @pytest.mark.slow

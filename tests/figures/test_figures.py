@@ -2,7 +2,6 @@
 
 import re
 from functools import partial
-from io import BytesIO
 
 import jax
 import matplotlib as mpl
@@ -201,15 +200,6 @@ def a_figure():
         figure = figures.new_figure(figures.SINGLE_COLUMN, 2.0)
         figure.subplots().plot([0.0, 3.0], [1.0, 20.0])
     return figure
-
-
-def test_a_figure_looks_the_same_wherever_it_is_shown():
-    outside, inside = BytesIO(), BytesIO()
-    a_figure().savefig(outside, dpi=100)
-    with figures.house_style():
-        a_figure().savefig(inside, dpi=100)
-    one, other = (imread(BytesIO(file.getvalue())) for file in (outside, inside))
-    np.testing.assert_array_equal(one, other)
 
 
 def test_a_file_is_sharp_and_has_the_same_bytes_again(tmp_path):

@@ -364,3 +364,28 @@ def test_a_batch_of_histories_is_refused():
         assert said.startswith(f"{asked}: needs one history, not a batch of shape (2,); use jax.vmap(lambda history:")
     with pytest.raises(ValueError, match="energies: needs one history"):
         _ = batch.energies
+
+
+@pytest.mark.slow
+def test_a_front_that_rests_at_a_joint():
+    """Where the radius jumps, the tension of a slanted tendon does, and a range of tensions leaves the front there."""
+    radius = cddf.Piecewise([0.07], [0.01, 0.006])
+    tendon = cddf.Tendon(cddf.Linear(0.008, 0.003, 0.14))
+    body = cddf.Manipulator(
+        length=0.14,
+        outer_radius=radius,
+        inner_radius=0.0,
+        tendons=[tendon],
+        youngs_modulus=1e6,
+        friction_coefficient=0.5,
+    )
+
+    @jax.jit
+    def found(tension):
+        history = cddf.trace(body, jnp.stack([jnp.asarray(3.0), tension]), throw=False)
+        return history.tip_angle[1], history.front[1]
+
+    (low, front), (high, _) = found(2.537), found(2.538)
+    assert front == 0.07
+    slope, moved = jax.jacfwd(found)(2.5375)
+    np.testing.assert_allclose([slope, moved], [(high - low) / 0.001, 0.0], rtol=1e-6)

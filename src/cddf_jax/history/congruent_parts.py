@@ -23,7 +23,7 @@ from ..robot.manipulator import Manipulator
 from ..statics.equilibrium import Dense
 from ..statics.solve import solve
 from ..statics.status import Status, first_of
-from .fronts import Motion, cut_at, front_of
+from .fronts import Motion, cut_at, front_of, is_held
 from .history import stored_per_length
 from .turns import Number
 
@@ -152,6 +152,7 @@ def composed(body: Manipulator, below: Composed, motion: Motion, own: Slid, othe
     length = jnp.asarray(body.length)
     rest = _joined(_backwards(other.added), below.whole)
     missed = jnp.abs(own.tension - other.tension) / jnp.where(other.tension > 0, other.tension, 1.0)
+    missed = jnp.where(is_held(body, own.end), 0.0, missed)
     rest = rest._replace(error=jnp.where(own.end < length, jnp.maximum(rest.error, missed), 0.0))
     rest = jax.tree.map(partial(jnp.where, motion.from_rest), _nothing(body, zero_as(own)), rest)
     tension = jnp.where(motion.from_rest | (own.end >= length), own.tension, below.tip_tension)

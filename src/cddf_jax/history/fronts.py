@@ -75,8 +75,13 @@ def front_of(body: Manipulator, nodes: int, motion: Motion, *, refined: bool = T
     front = jnp.clip(_first_zero(slides[0].elements, gap[..., 0]), LEAST * length, length)
     if refined and not is_play_of_inverse(body):  # else r is a polynomial, and the front is exact already
         found = newton(partial(_nearer, body, nodes, ends), front, REFINEMENTS)
-        front = jnp.where(front < length, found, front)
+        front = jnp.where((front < length) & ~is_held(body, front), found, front)
     return jnp.where(from_rest | (front >= length), tip, front)
+
+
+def is_held(body: Manipulator, front: Number) -> Bool[Array, ""]:
+    """Whether a front rests at a joint, where tensions may jump."""
+    return jnp.any(body.breakpoints == front)
 
 
 def moving_front(body: Manipulator, front: Number, here: Number, there: Number, direction: Number) -> Number:
@@ -92,7 +97,7 @@ def moving_front(body: Manipulator, front: Number, here: Number, there: Number, 
     body, place, tension, direction = still
     slope = partial(_slope, body, place, tension)
     parting = slope(direction) - slope(-direction)
-    moves = (place < body.length) & (parting != 0)
+    moves = (place < body.length) & (parting != 0) & ~is_held(body, place)
     change = (apart - jax.lax.stop_gradient(apart)) / jnp.where(moves, parting, 1.0)
     return front - jnp.where(moves, change, 0.0)
 

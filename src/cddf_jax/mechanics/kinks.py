@@ -38,6 +38,7 @@ class Tensions(NamedTuple):
     ratios: Float[Array, "branches p tendons"]  # r
     places: Float[Array, " places"] | None = None  # in [0, 1], increasing; 1 where there is no kink
     signs: Float[Array, "branches tendons"] | None = None  # of psi'; None, or 0 where it is not one
+    spread: Number | None = None  # between the places where tendons become slack, of which the first one counts
 
     def totals(
         self,
@@ -88,7 +89,9 @@ def tensions_along(section: AnySection, base_tension: PerTendon, pull: Pull, rou
     tension = where_present(section, left / size)
     taut = left > 0
     early, late = jnp.where((slack < 1) | taut[0], tension, 0.0), jnp.where((slack < 1) | ~taut[-1], 0.0, tension)
-    return Tensions(jnp.stack([early, late]), jnp.stack([pull.ratio] * 2), jnp.min(slack)[None])
+    first = jnp.min(slack)
+    spread = jnp.max(jnp.where(slack < 1, slack, first)) - first
+    return Tensions(jnp.stack([early, late]), jnp.stack([pull.ratio] * 2), first[None], spread=spread)
 
 
 def with_smooth_ratios(
@@ -116,8 +119,8 @@ def with_smooth_ratios(
         places = jnp.sort(own) if apart else jnp.min(own)[None]
         taut, left = 1.0, base_tension
     else:
-        places = own = tensions.places
-        differs, signs = _apart_where_slack(growth, places[0]), None
+        own, differs, signs = _where_slack(growth, tensions.places, apart)
+        places = tensions.places if apart else jnp.min(own)[None]
         assert pull.spent is not None
         taut, left = jnp.where(tensions.branches != 0, 1.0, 0.0), base_tension - pull.spent
     passed = own <= places[:, None] if apart else jnp.ones((1, *own.shape), bool)
@@ -128,7 +131,7 @@ def with_smooth_ratios(
     ratios = jnp.stack([pull.ratio + each * (direction * differs) for each in shift])
     size = jnp.maximum(jnp.abs(ratios), jnp.finfo(ratios.dtype).eps)
     signs = None if signs is None else jnp.where(late, signs[1], signs[0])
-    return Tensions(where_present(section, taut * left / size), ratios, places, signs)
+    return Tensions(where_present(section, taut * left / size), ratios, places, signs, tensions.spread)
 
 
 def _where_turning_over(growth: Float[Array, "p tendons"]) -> tuple[Array, Array, Array]:
@@ -144,6 +147,16 @@ def _where_turning_over(growth: Float[Array, "p tendons"]) -> tuple[Array, Array
     over = places < 1
     late = jnp.where(over, jnp.where(once, -early, 0.0), jnp.where(early == last, early, 0.0))
     return places, jnp.where(over, differs, 0.0), jnp.stack([early, late])
+
+
+def _where_slack(growth: Array, place: Float[Array, " 1"], apart: bool) -> tuple[Array, Array, Array | None]:
+    """As `_where_turning_over`, where a tendon becomes slack at a place; where none does, tendons may turn over."""
+    differs = _apart_where_slack(growth, place[0])
+    if apart:
+        return place, differs, None
+    both = zip((place, differs, 0.0), _where_turning_over(growth[0]), strict=True)
+    own, differs, signs = (jnp.where(place < 1, slack, over) for slack, over in both)
+    return own, differs, signs
 
 
 def _apart_where_slack(growth: Float[Array, "2 p tendons"], place: Number) -> Float[Array, "p tendons"]:

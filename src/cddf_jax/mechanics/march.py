@@ -117,6 +117,8 @@ def _along_element(problem: Problem, start: State, part: Part) -> tuple[State, S
     growth, missed = _turned(problem, start, part, tensions, strains, moment_rate)
     if missed is not None and axis is not None:
         missed = missed + missed_in_place(problem, part.width, axis, tensions.places)
+    if missed is not None and tensions.spread is not None:
+        missed = missed + jax.lax.stop_gradient(tensions.spread) * part.width / problem.elements.edges[-1]
     moments = 0.0 * _moments(problem, part.guess) if moment_rate is None else moment_rate
     rows = zip(growth, spent, heading, _onwards(start.moment, part.width, moments), strict=True)
     nodes, end = (_beyond(problem, start, *row) for row in rows)
@@ -360,23 +362,23 @@ def finished(problem: Problem, solution: Solution) -> Solution:
     strain = strain_along(problem.nodes, problem.base_tension, states.nodes)
     headings, missed = [state.heading for state in states], solution.missed
     if not _has_headings(problem):
-        edges, nodes = _frames(cut, strain)
-        headings = [edges[:-1], nodes, edges[1:]]
+        (edges, nodes), found = _frames(cut, strain)
+        headings, solution = [edges[:-1], nodes, edges[1:]], replace(solution, converged=solution.converged & found)
     axis = geometry.axis(headings[1], strain)
     if not _has_headings(problem):
         missed = missed + jnp.sum(jax.vmap(partial(missed_in_place, problem))(cut.width, axis))
     edges, nodes = cut.integrate(axis)
-    loss = problem.direction * problem.manipulator.tendon_friction
 
     def whole(state: State, heading: Array, position: Array) -> State:
-        return state._replace(heading=heading, position=position, wrap_angle=wrap_of(loss, state.growth), growth=None)
+        wrap_angle = wrap_of(problem.direction * problem.manipulator.tendon_friction, state.growth)
+        return state._replace(heading=heading, position=position, wrap_angle=wrap_angle, growth=None)
 
     rows = zip(states, headings, (edges[:-1], nodes, edges[1:]), strict=True)
     return replace(solution, states=BodyStates(*(whole(*row) for row in rows)), missed=missed)
 
 
-def _frames(cut: Elements, strain: Array) -> tuple[Array, Array]:
-    """The rotations at the edges and the nodes that follow from the curvature, both (..., 4).
+def _frames(cut: Elements, strain: Array) -> tuple[tuple[Array, Array], Bool[Array, ""]]:
+    """The rotations at the edges and the nodes that follow from the curvature, both (..., 4); whether they are found.
 
     Each is a turn about one axis for the whole body, and a rotation after it, which an iteration finds: the identity
     and a change. Where the body bends about one axis, the turn is all.
@@ -389,7 +391,7 @@ def _frames(cut: Elements, strain: Array) -> tuple[Array, Array]:
     off = largest(sum_of([jnp.abs(part) for part in parts_of(rest)])) * cut.edges[-1]
     settings = {"tolerance": round_off(rate.dtype), "size": _absolute_size, "off": off}
     found = fixed_point(Partial(_turned_on, cut, rest), jax.tree.map(jnp.zeros_like, turns), **settings)
-    return jax.tree.map(lambda turn, change: turn + product(change, turn), turns, found.value)
+    return jax.tree.map(lambda turn, change: turn + product(change, turn), turns, found.value), found.converged
 
 
 def _turned_on(cut: Elements, rate: Array, change: tuple[Array, Array]) -> tuple[Array, Array]:

@@ -364,8 +364,8 @@ class Elements(eqx.Module):
         return 8 * float(jnp.finfo(self.edges.dtype).eps) * self.edges[-1]
 
     def before_edge(self, arc_length: Float[Array, ""]) -> Float[Array, ""]:
-        """The arc length, or just before it where an element ends within the body: there cross-sections may jump."""
-        ends = (self.edges == arc_length) & (self.edges > 0) & (self.edges < self.edges[-1])
+        """The arc length, or just before it where an element ends: there cross-sections may jump."""
+        ends = (self.edges == arc_length) & (self.edges > 0)
         return jnp.where(jnp.any(ends), arc_length - self.nudge, arc_length)
 
     def gain(self, rate: Float[Array, "P p *k"]) -> Float[Array, "P *k"]:

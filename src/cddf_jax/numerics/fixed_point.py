@@ -61,7 +61,14 @@ def fixed_point(
             tolerance.
     """
     start, off, frozen = without_derivative((start, off, update))
-    value, change, count = picard(frozen, start, tolerance, max_iterations, size, off)
+    off = zero_as(start) + off
+
+    def step(last: tuple[Tree, Scalar]) -> tuple[tuple[Tree, Scalar], Bool[Array, ""]]:
+        new = frozen(last[0])
+        change = size(minus(new, last[0]), new)
+        return (new, change), ~(change > tolerance)  # NaN ends it
+
+    (value, change), count = until(step, (start, off), max_iterations, ended=~(off > tolerance))
     good = (change <= tolerance) & acceptable(value)
     value = jax.tree.map(lambda new, old: jnp.where(good, new, old), value, start)
     return FixedPointResult(implicit(update, value), count, change, good)
@@ -135,33 +142,6 @@ def _solve_by_iteration(push: Callable[[Tree], Tree], pushed: Tree) -> Tree:
     return jax.lax.custom_linear_solve(
         lambda v: minus(v, push(v)), pushed, solve=solve_linear, transpose_solve=solve_linear
     )
-
-
-def picard(
-    update: Callable[[Tree], Tree],
-    start: Tree,
-    tolerance: float,
-    max_iterations: int = tol.MAX_ITERATIONS,
-    size: Callable[[Tree, Tree], Scalar] = relative_size,
-    off: Scalar | float = jnp.inf,
-) -> tuple[Tree, Scalar, Scalar]:
-    """Picard iteration: the update again and again, until it changes no more than the tolerance.
-
-    Args:
-        update, start, tolerance, max_iterations, size, off: as in `fixed_point`.
-
-    Returns:
-        The values, the last change, and the number of updates.
-    """
-
-    def step(last: tuple[Tree, Scalar]) -> tuple[tuple[Tree, Scalar], Bool[Array, ""]]:
-        new = update(last[0])
-        change = size(minus(new, last[0]), new)
-        return (new, change), ~(change > tolerance)  # NaN ends it
-
-    off = zero_as(start) + off
-    (value, change), count = until(step, (start, off), max_iterations, ended=~(off > tolerance))
-    return value, change, count
 
 
 def until(

@@ -34,7 +34,12 @@ def as_number(value: object) -> Number:
     check_numbers("", value)
     parts = value if isinstance(value, list | tuple) else [value]
     traced = any(isinstance(part, jax.Array) for part in parts)
-    return jnp.asarray(value) if traced else np.asarray(value, dtype=np.float64)
+    return _real(jnp.asarray(value)) if traced else np.asarray(value, dtype=np.float64)
+
+
+def _real(value: Array) -> Array:
+    """The same numbers; whole ones as floating-point numbers."""
+    return value if jnp.issubdtype(value.dtype, jnp.inexact) else value.astype(float)
 
 
 def as_optional_number(value: object) -> Any:
@@ -55,7 +60,7 @@ class Function(eqx.Module):
     function: Callable[[Points], ArrayLike] = eqx.field(static=True)
 
     def __call__(self, arc_length: Points) -> Array:
-        return jnp.asarray(self.function(arc_length))
+        return _real(jnp.asarray(self.function(arc_length)))
 
     @property
     def breakpoints(self) -> Float[Number, " n"]:

@@ -222,7 +222,12 @@ def harmless(
 
     tension = jnp.where(jnp.isfinite(base_tension) & (base_tension >= 0), base_tension, 0.0)
     direction = jnp.where(jnp.abs(direction) == 1, direction, 1.0)
-    return finite(manipulator, 1.0), tension, direction, finite(others, 0.0)
+    body = finite(manipulator, 1.0)
+    for i, tendon in enumerate(body.tendons):  # 1 / (E A)
+        if tendon.axial_stiffness is not None:
+            stiffness = jnp.where(tendon.axial_stiffness == 0, 1.0, tendon.axial_stiffness)
+            body = eqx.tree_at(lambda body, i=i: body.tendons[i].axial_stiffness, body, stiffness)
+    return body, tension, direction, finite(others, 0.0)
 
 
 def is_physical(
