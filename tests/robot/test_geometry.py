@@ -90,9 +90,8 @@ def test_a_manipulator_needs_a_tendon_on_one_side_and_known_kinematics():
     for side in (0, 2, -2, True):
         with pytest.raises(ValueError, match=r"Tendon: side must be \+1 or -1, got"):
             cddf.Tendon(0.01, side=side)
-    assert "side -1" in str(
-        paper_with(cddf.Tendon(0.01, side=np.sign(-0.5)))
-    )  # a whole number also if given as a float
+    left = paper_with(cddf.Tendon(0.01, side=np.sign(-0.5)))  # a float
+    assert "side -1" in str(left)
     for tendons in ((), (0.01,)):
         with pytest.raises(ValueError, match="Manipulator: tendons must hold one Tendon or more"):
             cddf.Manipulator(0.14, 0.02, 0.007, tendons, 1.4e6, 0.42)  # pyright: ignore[reportArgumentType]
